@@ -1,0 +1,134 @@
+//! One channel of an estimator: what a measured signal does beyond its model.
+
+use super::injection::Injection;
+use crate::math::Scalar;
+
+/// How a channel's differential equation is stepped at the PWM rate.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Form {
+    /// The injection closed implicitly over the step, the model integrated by the trapezoidal rule. Stable at every
+    /// rate.
+    #[default]
+    Implicit,
+    /// Forward Euler throughout, as the continuous equations read when coded term by term. Chatters when h·k/ε is
+    /// above about 2. Kept for comparison.
+    Explicit,
+}
+
+/// Which sample a channel takes its memory from at its first step.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Start {
+    /// On the sliding surface: the first mismatch is zero (the paper's QISMC, and "x̃1(0) = 0" below its Eq. 36).
+    #[default]
+    Matched,
+    /// With an observer state of zero, whatever the signal is (the paper's QSMDO in its simulation).
+    Zero,
+}
+
+/// What a [`Channel`] is built from; all in the unit of the watched signal and seconds.
+pub(super) struct ChannelConfig {
+    /// Injection strength k [signal/s].
+    pub strength: f32,
+    /// Boundary layer ε [signal].
+    pub layer: f32,
+    /// Sampling period h [s].
+    pub period: f32,
+    /// Time that the implicit form closes the injection over [s]: until the step's effect can be seen.
+    pub horizon: f32,
+    /// Whether the injection corrects a model that runs here (an observer) or acts on the plant (a control).
+    pub observer: bool,
+    pub form: Form,
+    pub start: Start,
+    /// Largest mismatch that is remembered [signal].
+    pub range: f32,
+}
+
+/// Watches a signal whose derivative is a modelled rate plus an unknown one, and tells the unknown one.
+///
+/// The mismatch σ grows by what the signal moved beyond the integral of its modelled rate; the injection k·g(σ/ε) is
+/// the estimate of the unknown rate. In an observer the injection is part of the model, so it is taken off the
+/// mismatch at the next step; where it acts on the plant, the plant's answer does that.
+#[derive(Clone, Debug)]
+pub(super) struct Channel<S: Scalar> {
+    injection: Injection<S>,
+    per_layer: S::Gain,
+    rate_now: S::Gain,
+    rate_before: S::Gain,
+    correction: S::Gain,
+    layer: S::Gain,
+    beta: S::Gain,
+    limit: S,
+    start: Start,
+    state: Option<State<S>>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct State<S> {
+    signal: S,
+    rate: S,
+    /// Mismatch before the injection, σ/ε.
+    mismatch: S,
+    /// The injection g, within ±1.
+    injection: S,
+}
+
+impl<S: Scalar> Channel<S> {
+    pub fn new(config: &ChannelConfig) -> Self {
+        let ChannelConfig { strength, layer, period, horizon, .. } = *config;
+        let (beta, weight_now) = match config.form {
+            Form::Implicit => (horizon * strength / layer, 0.5),
+            Form::Explicit => (0.0, 0.0),
+        };
+        let correction = if config.observer { period * strength / layer } else { 0.0 };
+        Self {
+            injection: Injection::new(beta),
+            per_layer: S::gain(1.0 / layer),
+            rate_now: S::gain(-weight_now * period / layer),
+            rate_before: S::gain((weight_now - 1.0) * period / layer),
+            correction: S::gain(-correction),
+            layer: S::gain(layer),
+            beta: S::gain(-beta),
+            limit: S::from_f32(config.range / layer + beta),
+            start: config.start,
+            state: None,
+        }
+    }
+
+    /// Forgets the past: the next step is a first one.
+    pub fn reset(&mut self) {
+        self.state = None;
+    }
+
+    /// One step: the signal and its modelled rate at this sample → the injection g, within ±1.
+    #[inline]
+    pub fn advance(&mut self, signal: S, rate: S) -> S {
+        let mismatch = match (&self.state, self.start) {
+            (Some(before), _) => {
+                before.mismatch
+                    + S::combine([
+                        (self.per_layer, signal - before.signal),
+                        (self.rate_now, rate),
+                        (self.rate_before, before.rate),
+                        (self.correction, before.injection),
+                    ])
+            }
+            (None, Start::Matched) => S::ZERO,
+            (None, Start::Zero) => S::combine([(self.per_layer, signal)]),
+        }
+        .limited(self.limit);
+        let injection = self.injection.value(mismatch);
+        self.state = Some(State { signal, rate, mismatch, injection });
+        injection
+    }
+
+    /// The sliding variable y, for which the injection is k·tanh(y/ε) [signal]. Zero before the first step.
+    pub fn sliding_variable(&self) -> S {
+        match &self.state {
+            Some(state) => {
+                let y = state.mismatch + S::combine([(self.beta, state.injection)]);
+                S::combine([(self.layer, y)])
+            }
+            None => S::ZERO,
+        }
+    }
+}

@@ -1,0 +1,105 @@
+//! The two estimators, BS-QSMDO's (Eqs. 16–27) and BS-QISMC's (Eqs. 39–53): one algorithm with two kinds of memory.
+//!
+//! Both run two quasi-sliding channels. The first tells the disturbance d̂, the second the lumped rest ζ̂2 that is left
+//! in ż2, which is fed back as u2 = −ζ̂2. Written as what each channel watches and the rate its model gives:
+//!
+//! ```text
+//!            first channel                                 second channel
+//! QSMDO      ω,   −a1·ω + a2·i          (x̂1, Eq. 16)       z2,  −c·z2 − z1     (ẑ2, Eq. 24 with u2 = −ζ̂2)
+//! QISMC      z1,  −a1·ω + a2·i − ω̇_d    (s1, Eq. 39)       z2,  −c·z2 − z1     (s2, Eq. 50)
+//! ```
+//!
+//! since (ω − x̂1)' = d − d̂ = s1' and (z2 − ẑ2)' = ζ2 + u2 = s2'. So they differ in two things only. *The start:* the
+//! paper starts QSMDO with x̂1 = ẑ2 = 0 and QISMC on its surface. *A jump of the reference:* z1 jumps with ω_d and takes
+//! s1 along, ω and so x̂1 do not. With a smooth reference and equal starts the two give the same trajectory.
+//!
+//! Erratum: (53) prints u2 = +kc2·tanh(s2/η2), which diverges.
+
+use super::channel::{Channel, ChannelConfig, Form, Start};
+use super::{Gains, Timing};
+use crate::math::Scalar;
+
+/// What an estimator remembers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Memory {
+    /// Observer states x̂1 and ẑ2 (QSMDO).
+    Observer,
+    /// Integral sliding variables s1 and s2 (QISMC).
+    Integral,
+}
+
+/// Estimator of the disturbance and of the lumped uncertainty of the second backstepping error.
+#[derive(Clone, Debug)]
+pub(super) struct Estimator<S: Scalar> {
+    memory: Memory,
+    first: Channel<S>,
+    second: Channel<S>,
+    k1: S::Gain,
+    minus_c: S::Gain,
+}
+
+impl<S: Scalar> Estimator<S> {
+    /// `speed_range` [rad/s] and `z2_range` [rad/s²] bound the mismatch that each channel remembers.
+    pub fn new(
+        memory: Memory,
+        gains: &Gains,
+        timing: &Timing,
+        form: Form,
+        start: Start,
+        (speed_range, z2_range): (f32, f32),
+    ) -> Self {
+        let period = timing.period();
+        Self {
+            memory,
+            first: Channel::new(&ChannelConfig {
+                strength: gains.k1,
+                layer: gains.epsilon1,
+                period,
+                horizon: period,
+                observer: true,
+                form,
+                start,
+                range: speed_range,
+            }),
+            second: Channel::new(&ChannelConfig {
+                strength: gains.k2,
+                layer: gains.epsilon2,
+                period,
+                horizon: timing.horizon(),
+                observer: false,
+                form,
+                start,
+                range: z2_range,
+            }),
+            k1: S::gain(gains.k1),
+            minus_c: S::gain(-gains.c),
+        }
+    }
+
+    pub fn reset(&mut self) {
+        self.first.reset();
+        self.second.reset();
+    }
+
+    /// d̂ [rad/s²], from the speed ω, the error z1, the acceleration −a1·ω + a2·i and the reference's acceleration ω̇_d.
+    #[inline]
+    pub fn disturbance(&mut self, speed: S, z1: S, modelled: S, wanted: S) -> S {
+        let injection = match self.memory {
+            Memory::Observer => self.first.advance(speed, modelled),
+            Memory::Integral => self.first.advance(z1, modelled - wanted),
+        };
+        S::combine([(self.k1, injection)])
+    }
+
+    /// ζ̂2/k2 = −u2/k2, within ±1, from the two errors.
+    #[inline]
+    pub fn lumped(&mut self, z1: S, z2: S) -> S {
+        self.second
+            .advance(z2, S::combine([(self.minus_c, z2)]) - z1)
+    }
+
+    /// The sliding variables: ω − x̂1 or s1 [rad/s], z2 − ẑ2 or s2 [rad/s²].
+    pub fn sliding_variables(&self) -> [S; 2] {
+        [self.first.sliding_variable(), self.second.sliding_variable()]
+    }
+}

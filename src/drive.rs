@@ -1,0 +1,258 @@
+//! The drive: the only place where reference, law, limits and bridge meet.
+//!
+//! Outputs are off until [`Drive::arm`], and off for good after a fault, until [`Drive::clear_fault`] and
+//! [`Drive::arm`]. All checks of the configuration happen in [`Drive::new`]; [`Drive::step`] cannot fail: whatever a
+//! sample holds, it returns a finite duty within the limit, or [`BridgeCommand::Off`].
+
+use crate::config::{ConfigError, positive, require};
+use crate::control::{ControlConfig, Controller, Ranges, Signals, Timing};
+use crate::hal::{Board, BridgeCommand, Sample};
+use crate::math::Scalar;
+use crate::motor::MotorParameters;
+use crate::trajectory::{Reference, Shape, Shaper};
+
+/// Everything that a drive is built from.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DriveConfig {
+    /// The motor.
+    pub motor: MotorParameters,
+    /// The law and its gains.
+    pub control: ControlConfig,
+    /// Sampling rate and delay.
+    pub timing: Timing,
+    /// What a sample may hold, and what the bridge may be told.
+    pub limits: Limits,
+    /// How commanded speeds become references.
+    pub shape: Shape,
+}
+
+/// Limits. A sample outside them is a fault; a duty outside them is limited.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Limits {
+    /// Largest magnitude of the duty, from above 0 to 1. A bridge with bootstrapped high sides needs less than 1.
+    pub duty: f32,
+    /// Largest plausible speed, and largest speed that can be commanded [rad/s]. Positive.
+    pub speed: f32,
+    /// Over-current trip [A]. Positive.
+    pub current: f32,
+    /// Under-voltage trip of the bus [V]. Positive.
+    pub bus_min: f32,
+    /// Over-voltage trip of the bus [V]. Above `bus_min`.
+    pub bus_max: f32,
+}
+
+impl Limits {
+    fn check(&self) -> Result<(), ConfigError> {
+        require(
+            self.duty > 0.0 && self.duty <= 1.0,
+            "limits.duty",
+            "must be above 0 and at most 1",
+            self.duty,
+        )?;
+        // Squares and products of these appear in the law: far from overflow.
+        for (field, value) in [
+            ("limits.speed", self.speed),
+            ("limits.current", self.current),
+            ("limits.bus_min", self.bus_min),
+            ("limits.bus_max", self.bus_max),
+        ] {
+            positive(field, value)?;
+            require(value <= 1e6, field, "must be at most 1e6", value)?;
+        }
+        require(
+            self.bus_max > self.bus_min,
+            "limits.bus_max",
+            "must be above limits.bus_min",
+            self.bus_max,
+        )?;
+        Ok(())
+    }
+}
+
+/// Why a drive stopped.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fault {
+    /// A sample held a NaN or an infinity.
+    SampleNotFinite,
+    /// The speed was beyond [`Limits::speed`].
+    Overspeed,
+    /// The current was beyond [`Limits::current`].
+    Overcurrent,
+    /// The bus voltage was below [`Limits::bus_min`].
+    BusUndervoltage,
+    /// The bus voltage was above [`Limits::bus_max`].
+    BusOvervoltage,
+}
+
+/// Whether the drive drives.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Mode {
+    /// Not armed: outputs are off.
+    Off,
+    /// Armed: outputs follow the law.
+    Running,
+    /// Stopped by a fault: outputs are off until the fault is cleared and the drive armed again.
+    Faulted(Fault),
+}
+
+/// A command that was not taken.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Refusal {
+    /// The commanded speed is a NaN, or beyond [`Limits::speed`]. The former command stays.
+    SpeedOutOfRange,
+    /// There is a fault to clear first.
+    Faulted(Fault),
+}
+
+/// What a period did, for telemetry.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Telemetry<S> {
+    /// The reference.
+    pub reference: Reference<S>,
+    /// What the law saw and decided.
+    pub signals: Signals<S>,
+    /// The armature voltage that was asked of the bridge, after the duty limit [V].
+    pub voltage: S,
+}
+
+/// A speed drive for one motor.
+#[derive(Clone, Debug)]
+pub struct Drive<S: Scalar> {
+    mode: Mode,
+    shaper: Shaper<S>,
+    controller: Controller<S>,
+    duty_limit: S,
+    speed_limit: S,
+    current_limit: S,
+    bus_min: S,
+    bus_max: S,
+    minus_inertia: S::Gain,
+    telemetry: Option<Telemetry<S>>,
+}
+
+impl<S: Scalar> Drive<S> {
+    /// Builds a drive, not armed, commanded to stand still. Refuses a configuration outside its range, naming the field.
+    pub fn new(config: &DriveConfig) -> Result<Self, ConfigError> {
+        let motor = config.motor.coefficients()?;
+        let limits = &config.limits;
+        limits.check()?;
+        let ranges = Ranges { speed: limits.speed, current: limits.current };
+        Ok(Self {
+            mode: Mode::Off,
+            controller: Controller::new(&motor, &config.control, &config.timing, &ranges)?,
+            shaper: Shaper::new(config.shape, config.timing.rate)?,
+            duty_limit: S::from_f32(limits.duty),
+            speed_limit: S::from_f32(limits.speed),
+            current_limit: S::from_f32(limits.current),
+            bus_min: S::from_f32(limits.bus_min),
+            bus_max: S::from_f32(limits.bus_max),
+            minus_inertia: S::gain(-motor.inertia),
+            telemetry: None,
+        })
+    }
+
+    /// Turns the outputs on from the next step. The estimator starts anew, and the reference at standstill.
+    pub fn arm(&mut self) -> Result<(), Refusal> {
+        match self.mode {
+            Mode::Faulted(fault) => Err(Refusal::Faulted(fault)),
+            Mode::Running => Ok(()),
+            Mode::Off => {
+                self.controller.reset();
+                self.shaper.reset(S::ZERO);
+                self.mode = Mode::Running;
+                Ok(())
+            }
+        }
+    }
+
+    /// Turns the outputs off from the next step. A fault stays latched.
+    pub fn disarm(&mut self) {
+        if self.mode == Mode::Running {
+            self.mode = Mode::Off;
+        }
+    }
+
+    /// Clears a latched fault. The drive stays off until armed.
+    pub fn clear_fault(&mut self) {
+        if let Mode::Faulted(_) = self.mode {
+            self.mode = Mode::Off;
+        }
+    }
+
+    /// Commands a speed [rad/s].
+    pub fn set_speed(&mut self, speed: S) -> Result<(), Refusal> {
+        if !speed.is_finite() || speed.abs() > self.speed_limit {
+            return Err(Refusal::SpeedOutOfRange);
+        }
+        self.shaper.set_target(speed);
+        Ok(())
+    }
+
+    /// One PWM period with a board: sample, step, apply.
+    #[inline]
+    pub fn run_period(&mut self, board: &mut impl Board<S>) {
+        let sample = board.sample();
+        let command = self.step(&sample);
+        board.apply(command);
+    }
+
+    /// One PWM period: from this period's sample to the bridge's command.
+    #[inline]
+    pub fn step(&mut self, sample: &Sample<S>) -> BridgeCommand<S> {
+        if self.mode != Mode::Running {
+            return BridgeCommand::Off;
+        }
+        if let Some(fault) = self.fault_in(sample) {
+            self.mode = Mode::Faulted(fault);
+            return BridgeCommand::Off;
+        }
+        let reference = self.shaper.advance();
+        let signals = self
+            .controller
+            .step(sample.speed, sample.current, &reference);
+        let duty = (signals.voltage / sample.bus_voltage).limited(self.duty_limit);
+        let voltage = duty * sample.bus_voltage;
+        self.telemetry = Some(Telemetry { reference, signals, voltage });
+        BridgeCommand::Duty(duty)
+    }
+
+    fn fault_in(&self, sample: &Sample<S>) -> Option<Fault> {
+        let &Sample { speed, current, bus_voltage } = sample;
+        if !(speed.is_finite() && current.is_finite() && bus_voltage.is_finite()) {
+            Some(Fault::SampleNotFinite)
+        } else if current.abs() > self.current_limit {
+            Some(Fault::Overcurrent)
+        } else if bus_voltage < self.bus_min {
+            Some(Fault::BusUndervoltage)
+        } else if bus_voltage > self.bus_max {
+            Some(Fault::BusOvervoltage)
+        } else if speed.abs() > self.speed_limit {
+            Some(Fault::Overspeed)
+        } else {
+            None
+        }
+    }
+
+    /// Whether the drive drives, and if not, why.
+    pub fn mode(&self) -> Mode {
+        self.mode
+    }
+
+    /// What the last driven period did; nothing before the first.
+    pub fn telemetry(&self) -> Option<&Telemetry<S>> {
+        self.telemetry.as_ref()
+    }
+
+    /// The estimated load torque T̂_l = −J·d̂ [N·m], positive when it opposes positive motion.
+    pub fn load_torque(&self) -> S {
+        match &self.telemetry {
+            Some(telemetry) => S::combine([(self.minus_inertia, telemetry.signals.disturbance)]),
+            None => S::ZERO,
+        }
+    }
+
+    /// The sliding variables of the last step; see [`Controller::sliding_variables`].
+    pub fn sliding_variables(&self) -> [S; 2] {
+        self.controller.sliding_variables()
+    }
+}
