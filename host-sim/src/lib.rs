@@ -1,1 +1,22 @@
+//! A simulated motor board behind quasidrive's HAL trait, and what is played on it.
+//!
+//! - [`plant`]: motor, friction, and their integration;
+//! - [`profile`]: quantities that change over time;
+//! - [`board`]: the simulated board, which implements [`quasidrive::hal::Board`];
+//! - [`double`]: a double-precision scalar, to run the same laws without rounding in the way;
+//! - [`scenario`]: what to play, read from TOML and checked;
+//! - [`simulation`]: plays a scenario, period by period;
+//! - [`metrics`]: figures of merit of a run;
+//! - [`reproduction`]: the runs that reproduce the paper;
+//! - [`report`]: its HTML report; [`terminal`]: its tables in the terminal.
 
+pub mod board;
+pub mod double;
+pub mod metrics;
+pub mod plant;
+pub mod profile;
+pub mod report;
+pub mod reproduction;
+pub mod scenario;
+pub mod simulation;
+pub mod terminal;

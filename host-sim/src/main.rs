@@ -1,0 +1,243 @@
+//! `host-sim`: plays scenarios against the simulated motor.
+
+use anyhow::{Context, Result};
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use host_sim::double::Double;
+use host_sim::metrics::Metrics;
+use host_sim::scenario::{Controller, FormName, Scenario, ScenarioError};
+use host_sim::simulation::{Frame, Outcome, simulate};
+use host_sim::{report, reproduction, terminal};
+use indicatif::{ProgressBar, ProgressStyle};
+use quasidrive::drive::Fault;
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+/// Plays scenarios: quasidrive's speed loop against a simulated brushed DC motor.
+///
+/// Exit codes: 0 done; 1 could not be done; 2 wrong usage or a refused scenario; 3 the drive stopped with a fault.
+#[derive(Parser)]
+#[command(version)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Play one scenario and print its figures.
+    Run {
+        /// Scenario file (TOML); host-sim/scenarios/README.md documents the format.
+        file: PathBuf,
+        /// Print one JSON object instead of a table.
+        #[arg(long)]
+        json: bool,
+        /// Write every period to a CSV file.
+        #[arg(long, value_name = "OUT")]
+        csv: Option<PathBuf>,
+        #[command(flatten)]
+        overrides: Overrides,
+    },
+    /// Reproduce the paper's figures and its Table 2, and write an HTML report.
+    Paper {
+        /// Where the report goes.
+        #[arg(long, value_name = "OUT", default_value = "target/paper.html")]
+        report: PathBuf,
+    },
+    /// Play several scenarios and print their figures side by side.
+    Compare {
+        /// Scenario files (TOML).
+        #[arg(required = true)]
+        files: Vec<PathBuf>,
+        /// Print one JSON array instead of a table.
+        #[arg(long)]
+        json: bool,
+        #[command(flatten)]
+        overrides: Overrides,
+    },
+}
+
+/// What replaces a scenario's own settings.
+#[derive(Args)]
+struct Overrides {
+    /// Controller.
+    #[arg(long)]
+    controller: Option<Controller>,
+    /// Sampling rate [Hz].
+    #[arg(long, value_name = "HZ")]
+    rate: Option<f64>,
+    /// How the estimators are stepped.
+    #[arg(long)]
+    form: Option<FormName>,
+    /// What the drive computes in: f32 as on the target, or f64 to see it without rounding.
+    #[arg(long, default_value = "f32")]
+    scalar: ScalarName,
+}
+
+#[derive(Clone, Copy, Serialize, ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+enum ScalarName {
+    F32,
+    F64,
+}
+
+/// A run, as `--json` prints it.
+#[derive(Serialize)]
+struct RunReport {
+    scenario: PathBuf,
+    title: String,
+    controller: Controller,
+    form: FormName,
+    scalar: ScalarName,
+    rate: f64,
+    delay: bool,
+    duration: f64,
+    metrics: Metrics,
+    fault: Option<FaultReport>,
+}
+
+#[derive(Serialize)]
+struct FaultReport {
+    time: f64,
+    fault: String,
+}
+
+impl RunReport {
+    fn new(file: &Path, scenario: &Scenario, scalar: ScalarName, outcome: Outcome) -> Self {
+        Self {
+            scenario: file.to_owned(),
+            title: scenario.title.clone(),
+            controller: scenario.control.controller,
+            form: scenario.control.form,
+            scalar,
+            rate: scenario.timing.rate,
+            delay: scenario.timing.delay,
+            duration: scenario.duration,
+            metrics: outcome.metrics,
+            fault: outcome.fault.map(|(time, fault)| FaultReport { time, fault: name(fault) }),
+        }
+    }
+}
+
+fn name(fault: Fault) -> String {
+    format!("{fault:?}")
+}
+
+fn main() -> ExitCode {
+    match execute(Cli::parse().command) {
+        Ok(code) => code,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            let refused = error.downcast_ref::<ScenarioError>().is_some();
+            ExitCode::from(if refused { 2 } else { 1 })
+        }
+    }
+}
+
+fn execute(command: Command) -> Result<ExitCode> {
+    match command {
+        Command::Run { file, json, csv, overrides } => {
+            let run = play(&file, &overrides, csv.as_deref())?;
+            if json {
+                println!("{}", serde_json::to_string_pretty(&run)?);
+            } else {
+                println!("{}: {}", file.display(), run.title);
+                print_table(std::slice::from_ref(&run));
+            }
+            Ok(exit_code(&[run]))
+        }
+        Command::Compare { files, json, overrides } => {
+            let runs: Vec<RunReport> =
+                files.iter().map(|file| play(file, &overrides, None)).collect::<Result<_>>()?;
+            if json {
+                println!("{}", serde_json::to_string_pretty(&runs)?);
+            } else {
+                print_table(&runs);
+            }
+            Ok(exit_code(&runs))
+        }
+        Command::Paper { report: out } => {
+            let results = reproduction::run(&progress_bar)?;
+            println!("{}", report::summary(&results));
+            if let Some(folder) = out.parent() {
+                std::fs::create_dir_all(folder)
+                    .with_context(|| format!("cannot make {}", folder.display()))?;
+            }
+            std::fs::write(&out, report::html(&results)?)
+                .with_context(|| format!("cannot write {}", out.display()))?;
+            println!("Report: {}", out.display());
+            Ok(ExitCode::SUCCESS)
+        }
+    }
+}
+
+/// Plays one file, with every period to `csv` if wanted.
+fn play(file: &Path, overrides: &Overrides, csv: Option<&Path>) -> Result<RunReport> {
+    let mut scenario = Scenario::read(file)?;
+    if let Some(controller) = overrides.controller {
+        scenario.control.controller = controller;
+    }
+    if let Some(form) = overrides.form {
+        scenario.control.form = form;
+    }
+    if let Some(rate) = overrides.rate {
+        scenario.timing.rate = rate;
+    }
+    let mut rows = match csv {
+        Some(out) => Some(
+            csv::Writer::from_path(out)
+                .with_context(|| format!("cannot write {}", out.display()))?,
+        ),
+        None => None,
+    };
+    let mut written = Ok(());
+    let bar = progress_bar(scenario.periods());
+    let each = |frame: &Frame| {
+        bar.inc(1);
+        if let (Some(rows), Ok(())) = (&mut rows, &written) {
+            written = rows.serialize(frame);
+        }
+    };
+    let outcome = match overrides.scalar {
+        ScalarName::F32 => simulate::<f32>(&scenario, each)?,
+        ScalarName::F64 => simulate::<Double>(&scenario, each)?,
+    };
+    bar.finish_and_clear();
+    written.context("cannot write the CSV file")?;
+    if let Some(rows) = &mut rows {
+        rows.flush().context("cannot write the CSV file")?;
+    }
+    Ok(RunReport::new(file, &scenario, overrides.scalar, outcome))
+}
+
+/// A progress bar on a terminal; nothing in a pipe.
+fn progress_bar(periods: u64) -> ProgressBar {
+    let style = ProgressStyle::with_template("{bar:40} {percent:>3} % {eta} left");
+    match style {
+        Ok(style) => ProgressBar::new(periods).with_style(style),
+        Err(_) => ProgressBar::new(periods),
+    }
+}
+
+fn print_table(runs: &[RunReport]) {
+    let columns: Vec<(String, Metrics)> = runs
+        .iter()
+        .map(|run| {
+            let name = run.scenario.file_stem().unwrap_or_default().to_string_lossy();
+            (format!("{name}\n{}", run.controller), run.metrics.clone())
+        })
+        .collect();
+    println!("{}", terminal::metrics_table(&columns));
+}
+
+/// Success, or 3 with a message for every run that ended in a fault.
+fn exit_code(runs: &[RunReport]) -> ExitCode {
+    let mut code = ExitCode::SUCCESS;
+    for run in runs {
+        if let Some(FaultReport { time, fault }) = &run.fault {
+            eprintln!("{}: the drive stopped at {time:.6} s: {fault}", run.scenario.display());
+            code = ExitCode::from(3);
+        }
+    }
+    code
+}

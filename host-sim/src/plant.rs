@@ -1,0 +1,219 @@
+//! The motor as nature has it: the model of the paper's Eqs. (1), (2) with friction, integrated by RK4.
+//!
+//! ```text
+//! J·ω̇  = Kb·i − b·ω − T_c(ω) − T_l
+//! La·i̇ = u − Ra·i − Kb·ω
+//! ```
+//!
+//! Coulomb friction is T_c(ω) = T_c·ω/√(ω² + ω_c²) with the creep speed ω_c = 0.1 rad/s: smooth, so that the integrator
+//! keeps its order through standstill. A motor that Coulomb friction would hold creeps instead, below ω_c while the
+//! load is under 0.7·T_c.
+
+use serde::Deserialize;
+
+/// Speed below which Coulomb friction fades out [rad/s].
+const CREEP_SPEED: f64 = 0.1;
+
+/// Largest share of the electrical time constant that one integration step may span. RK4 errs by its fifth power / 120:
+/// 4e-5 of a transient per step.
+const STEP_PER_TIME_CONSTANT: f64 = 0.35;
+
+/// The simulated motor with what turns with it, in SI units.
+#[derive(Clone, Copy, Debug, Deserialize, PartialEq)]
+#[serde(deny_unknown_fields)]
+pub struct Plant {
+    /// Moment of inertia J [kg·m²].
+    pub inertia: f64,
+    /// Armature inductance La [H].
+    pub inductance: f64,
+    /// Armature resistance Ra [Ω].
+    pub resistance: f64,
+    /// Back-EMF and torque constant Kb [V·s/rad, N·m/A].
+    pub back_emf_constant: f64,
+    /// Viscous friction b [N·m·s/rad].
+    #[serde(default)]
+    pub viscous_friction: f64,
+    /// Coulomb friction T_c [N·m]. The controllers know nothing of it: to them it is load torque.
+    #[serde(default)]
+    pub coulomb_friction: f64,
+}
+
+/// The motor's state.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct State {
+    /// Shaft speed ω [rad/s].
+    pub speed: f64,
+    /// Armature current i [A].
+    pub current: f64,
+}
+
+/// What drives the armature.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Armature {
+    /// A voltage [V].
+    Driven(f64),
+    /// Open switches: the current freewheels through the diodes against the bus voltage [V] until it has died down.
+    Open(f64),
+}
+
+impl Plant {
+    /// Coulomb friction torque at a speed [N·m].
+    pub fn coulomb_torque(&self, speed: f64) -> f64 {
+        if self.coulomb_friction == 0.0 {
+            return 0.0;
+        }
+        self.coulomb_friction * speed / (speed * speed + CREEP_SPEED * CREEP_SPEED).sqrt()
+    }
+
+    fn derivative(&self, state: State, voltage: f64, load: f64) -> State {
+        let State { speed, current } = state;
+        let torque = self.back_emf_constant * current
+            - self.viscous_friction * speed
+            - self.coulomb_torque(speed)
+            - load;
+        State {
+            speed: torque / self.inertia,
+            current: (voltage - self.resistance * current - self.back_emf_constant * speed)
+                / self.inductance,
+        }
+    }
+
+    /// Integration steps that a time of `duration` [s] needs.
+    pub fn steps_for(&self, duration: f64) -> usize {
+        let time_constant = self.inductance / self.resistance;
+        (duration / (STEP_PER_TIME_CONSTANT * time_constant)).ceil().max(1.0) as usize
+    }
+
+    /// One classical Runge-Kutta step of `h` seconds, with the load torque [N·m] at its start, middle and end.
+    pub fn step(&self, state: State, armature: Armature, load: [f64; 3], h: f64) -> State {
+        match armature {
+            Armature::Driven(voltage) => self.rk4(state, voltage, load, h),
+            Armature::Open(bus) => self.freewheel(state, bus, load, h),
+        }
+    }
+
+    fn rk4(&self, state: State, voltage: f64, load: [f64; 3], h: f64) -> State {
+        let along = |slope: State, h: f64| State {
+            speed: state.speed + h * slope.speed,
+            current: state.current + h * slope.current,
+        };
+        let k1 = self.derivative(state, voltage, load[0]);
+        let k2 = self.derivative(along(k1, 0.5 * h), voltage, load[1]);
+        let k3 = self.derivative(along(k2, 0.5 * h), voltage, load[1]);
+        let k4 = self.derivative(along(k3, h), voltage, load[2]);
+        let mean = |k1: f64, k2: f64, k3: f64, k4: f64| (k1 + 2.0 * (k2 + k3) + k4) / 6.0;
+        along(
+            State {
+                speed: mean(k1.speed, k2.speed, k3.speed, k4.speed),
+                current: mean(k1.current, k2.current, k3.current, k4.current),
+            },
+            h,
+        )
+    }
+
+    /// The diodes put the bus against the current. Where the current would change its sign it stays at zero, unless
+    /// the back-EMF exceeds the bus.
+    fn freewheel(&self, state: State, bus: f64, load: [f64; 3], h: f64) -> State {
+        let direction = if state.current != 0.0 {
+            state.current.signum()
+        } else if self.back_emf_constant * state.speed.abs() > bus {
+            -state.speed.signum()
+        } else {
+            // No current flows: only the mechanics go on, and a back-EMF matched by the voltage keeps it so.
+            let matched = self.back_emf_constant * state.speed;
+            let next = self.rk4(state, matched, load, h);
+            return State { current: 0.0, ..next };
+        };
+        let next = self.rk4(state, -direction * bus, load, h);
+        let died_down = next.current * direction < 0.0;
+        State { current: if died_down { 0.0 } else { next.current }, ..next }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    pub const PAPER: Plant = Plant {
+        inertia: 7.95e-5,
+        inductance: 105e-6,
+        resistance: 0.7,
+        back_emf_constant: 59e-3,
+        viscous_friction: 0.0,
+        coulomb_friction: 0.0,
+    };
+
+    fn load(t: f64) -> f64 {
+        0.05 + 0.03 * (2_000.0 * t).sin()
+    }
+
+    /// State after 10 ms of 12 V in `steps` steps.
+    fn integrate(plant: &Plant, armature: Armature, start: State, steps: usize) -> State {
+        let h = 0.01 / steps as f64;
+        (0..steps).fold(start, |state, step| {
+            let t = step as f64 * h;
+            plant.step(state, armature, [load(t), load(t + 0.5 * h), load(t + h)], h)
+        })
+    }
+
+    fn distance(a: State, b: State) -> f64 {
+        (a.speed - b.speed).hypot(a.current - b.current)
+    }
+
+    #[test]
+    fn order_of_accuracy_is_four() {
+        let with_friction =
+            Plant { viscous_friction: 1e-5, coulomb_friction: 5e-3, ..PAPER };
+        for plant in [PAPER, with_friction] {
+            let run = |steps| integrate(&plant, Armature::Driven(12.0), State::default(), steps);
+            let truth = run(64_000);
+            let errors: Vec<f64> = [500, 1000, 2000, 4000]
+                .map(|steps| distance(run(steps), truth))
+                .to_vec();
+            for pair in errors.windows(2) {
+                let order = (pair[0] / pair[1]).log2();
+                assert!((3.8..4.3).contains(&order), "order {order} from {errors:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn one_step_per_pwm_period_is_accurate_enough() {
+        // The paper's motor at 20 kHz: 200 periods, one step each.
+        let period = 5e-5;
+        assert_eq!(PAPER.steps_for(period), 1);
+        let coarse = integrate(&PAPER, Armature::Driven(12.0), State::default(), 200);
+        let truth = integrate(&PAPER, Armature::Driven(12.0), State::default(), 64_000);
+        assert!(distance(coarse, truth) < 1e-3, "{coarse:?} is not {truth:?}");
+        assert!(distance(coarse, truth) > 1e-9, "RK4 with one step cannot be that good");
+    }
+
+    #[test]
+    fn settles_where_algebra_says() {
+        let plant = Plant { viscous_friction: 1e-4, coulomb_friction: 0.01, ..PAPER };
+        let mut state = State::default();
+        for _ in 0..40_000 {
+            state = plant.step(state, Armature::Driven(12.0), [0.05; 3], 5e-5);
+        }
+        // u = R i + Kb w, Kb i = b w + T_c + T_l; creeping takes 1e-6 off T_c at this speed.
+        let torque = |speed: f64| 1e-4 * speed + 0.06;
+        let speed = (12.0 * 59e-3 - 0.7 * 0.06) / (59e-3 * 59e-3 + 0.7 * 1e-4);
+        assert!((state.speed - speed).abs() < 1e-3, "{} is not {speed}", state.speed);
+        let current = torque(speed) / 59e-3;
+        assert!((state.current - current).abs() < 1e-4, "{} is not {current}", state.current);
+    }
+
+    #[test]
+    fn open_switches_let_the_current_die_and_the_motor_coast() {
+        let start = State { speed: 100.0, current: 10.0 };
+        let coast = integrate(&PAPER, Armature::Open(24.0), start, 1000);
+        assert_eq!(coast.current, 0.0);
+        // Only the load brakes, after the current has died within 10 A * 105 uH / 24 V = 44 us.
+        let braked_by = |torque: f64| start.speed - torque * 0.01 / PAPER.inertia;
+        assert!((braked_by(0.055)..braked_by(0.045)).contains(&coast.speed), "{coast:?}");
+        // Spun beyond the bus, the motor generates into it.
+        let fast = State { speed: 1000.0, current: 0.0 };
+        let generating = integrate(&PAPER, Armature::Open(24.0), fast, 1000);
+        assert!(generating.current < 0.0, "{generating:?}");
+    }
+}
