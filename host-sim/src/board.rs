@@ -5,7 +5,7 @@
 
 use crate::double::SimulatedScalar;
 use crate::plant::{Armature, Plant, State};
-use crate::profile::{Load, Step, value_at};
+use crate::profile::{Load, Step, Waves, value_at};
 use crate::scenario::Scenario;
 use quasidrive::hal::{Board, BridgeCommand, Sample};
 use std::marker::PhantomData;
@@ -21,9 +21,13 @@ pub struct SimulatedBoard<S> {
     substeps: usize,
     delay: bool,
     state: State,
-    /// Smooth part of the load torque now: the end of one integration step is the start of the next.
-    smooth_load: f64,
+    /// The smooth part of the load, at half integration steps.
+    waves: Waves,
     period: u64,
+    /// Time of the next sample [s].
+    time: f64,
+    /// Bus voltage at that time [V].
+    bus_now: f64,
     acting: Armature,
     scalar: PhantomData<S>,
 }
@@ -32,25 +36,30 @@ impl<S: SimulatedScalar> SimulatedBoard<S> {
     /// The board of a scenario, at its start, with open switches.
     pub fn new(scenario: &Scenario) -> Self {
         let rate = scenario.timing.rate;
+        let plant = Plant::new(scenario.motor);
+        let substeps = plant.steps_for(1.0 / rate);
+        let bus_now = value_at(&scenario.bus.steps, scenario.bus.voltage, 0.0);
         Self {
-            plant: scenario.motor,
+            plant,
             load: scenario.load.clone(),
             bus_voltage: scenario.bus.voltage,
             bus_steps: scenario.bus.steps.clone(),
             rate,
-            substeps: scenario.motor.steps_for(1.0 / rate),
+            substeps,
             delay: scenario.timing.delay,
             state: scenario.initial.state(),
-            smooth_load: scenario.load.sines_at(0.0),
+            waves: scenario.load.waves(0.5 / (rate * substeps as f64)),
             period: 0,
-            acting: Armature::Open(scenario.bus.voltage),
+            time: 0.0,
+            bus_now,
+            acting: Armature::Open(bus_now),
             scalar: PhantomData,
         }
     }
 
     /// Time of the next sample [s].
     pub fn time(&self) -> f64 {
-        self.period as f64 / self.rate
+        self.time
     }
 
     /// The motor's state.
@@ -60,27 +69,21 @@ impl<S: SimulatedScalar> SimulatedBoard<S> {
 
     /// Torque that opposes the motor beyond viscous friction [N·m]: what a disturbance observer is to find.
     pub fn load_torque(&self) -> f64 {
-        self.load.steps_at(self.time()) + self.smooth_load + self.plant.coulomb_torque(self.state.speed)
-    }
-
-    /// Bus voltage [V].
-    pub fn bus_voltage(&self) -> f64 {
-        value_at(&self.bus_steps, self.bus_voltage, self.time())
+        let friction = self.plant.coulomb_torque(self.state.speed);
+        self.load.steps_at(self.time) + self.waves.sum() + friction
     }
 
     fn advance(&mut self, armature: Armature) {
-        let start = self.time();
         let h = 1.0 / (self.rate * self.substeps as f64);
         for substep in 0..self.substeps {
-            let t = start + substep as f64 * h;
             // A jump belongs between integration steps: what holds in the middle holds throughout.
-            let constant = self.load.steps_at(t + 0.5 * h);
-            let end = self.load.sines_at(t + h);
-            let load = [self.smooth_load, self.load.sines_at(t + 0.5 * h), end];
-            self.state = (self.plant).step(self.state, armature, load.map(|smooth| constant + smooth), h);
-            self.smooth_load = end;
+            let constant = self.load.steps_at(self.time + (substep as f64 + 0.5) * h);
+            let load = [self.waves.sum(), self.waves.advance(), self.waves.advance()];
+            self.state = self.plant.step(self.state, armature, load.map(|wave| constant + wave), h);
         }
         self.period += 1;
+        self.time = self.period as f64 / self.rate;
+        self.bus_now = value_at(&self.bus_steps, self.bus_voltage, self.time);
     }
 }
 
@@ -89,15 +92,14 @@ impl<S: SimulatedScalar> Board<S> for SimulatedBoard<S> {
         Sample {
             speed: S::from_f64(self.state.speed),
             current: S::from_f64(self.state.current),
-            bus_voltage: S::from_f64(self.bus_voltage()),
+            bus_voltage: S::from_f64(self.bus_now),
         }
     }
 
     fn apply(&mut self, command: BridgeCommand<S>) {
-        let bus_voltage = self.bus_voltage();
         let commanded = match command {
-            BridgeCommand::Off => Armature::Open(bus_voltage),
-            BridgeCommand::Duty(duty) => Armature::Driven(duty.to_f64() * bus_voltage),
+            BridgeCommand::Off => Armature::Open(self.bus_now),
+            BridgeCommand::Duty(duty) => Armature::Driven(duty.to_f64() * self.bus_now),
         };
         let before = std::mem::replace(&mut self.acting, commanded);
         // A duty waits for the timer's next update where there is a delay; switching off never waits.

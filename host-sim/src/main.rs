@@ -224,7 +224,7 @@ fn print_table(runs: &[RunReport]) {
         .iter()
         .map(|run| {
             let name = run.scenario.file_stem().unwrap_or_default().to_string_lossy();
-            (format!("{name}\n{}", run.controller), run.metrics.clone())
+            (format!("{name}, {}", run.controller), run.metrics.clone())
         })
         .collect();
     println!("{}", terminal::metrics_table(&columns));

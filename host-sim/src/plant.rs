@@ -18,10 +18,10 @@ const CREEP_SPEED: f64 = 0.1;
 /// 4e-5 of a transient per step.
 const STEP_PER_TIME_CONSTANT: f64 = 0.35;
 
-/// The simulated motor with what turns with it, in SI units.
+/// Parameters of the simulated motor with what turns with it, in SI units.
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq)]
 #[serde(deny_unknown_fields)]
-pub struct Plant {
+pub struct Motor {
     /// Moment of inertia J [kg·m²].
     pub inertia: f64,
     /// Armature inductance La [H].
@@ -56,31 +56,45 @@ pub enum Armature {
     Open(f64),
 }
 
+/// The motor as a differential equation.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Plant {
+    motor: Motor,
+    per_inertia: f64,
+    per_inductance: f64,
+}
+
 impl Plant {
+    /// The differential equation of a motor; all parameters but the frictions must be positive.
+    pub fn new(motor: Motor) -> Self {
+        Self { motor, per_inertia: 1.0 / motor.inertia, per_inductance: 1.0 / motor.inductance }
+    }
+
     /// Coulomb friction torque at a speed [N·m].
     pub fn coulomb_torque(&self, speed: f64) -> f64 {
-        if self.coulomb_friction == 0.0 {
+        if self.motor.coulomb_friction == 0.0 {
             return 0.0;
         }
-        self.coulomb_friction * speed / (speed * speed + CREEP_SPEED * CREEP_SPEED).sqrt()
+        self.motor.coulomb_friction * speed / (speed * speed + CREEP_SPEED * CREEP_SPEED).sqrt()
     }
 
     fn derivative(&self, state: State, voltage: f64, load: f64) -> State {
         let State { speed, current } = state;
-        let torque = self.back_emf_constant * current
-            - self.viscous_friction * speed
+        let Motor { resistance, back_emf_constant, viscous_friction, .. } = self.motor;
+        let torque = back_emf_constant * current
+            - viscous_friction * speed
             - self.coulomb_torque(speed)
             - load;
+        let inductive_voltage = voltage - resistance * current - back_emf_constant * speed;
         State {
-            speed: torque / self.inertia,
-            current: (voltage - self.resistance * current - self.back_emf_constant * speed)
-                / self.inductance,
+            speed: torque * self.per_inertia,
+            current: inductive_voltage * self.per_inductance,
         }
     }
 
     /// Integration steps that a time of `duration` [s] needs.
     pub fn steps_for(&self, duration: f64) -> usize {
-        let time_constant = self.inductance / self.resistance;
+        let time_constant = self.motor.inductance / self.motor.resistance;
         (duration / (STEP_PER_TIME_CONSTANT * time_constant)).ceil().max(1.0) as usize
     }
 
@@ -101,13 +115,13 @@ impl Plant {
         let k2 = self.derivative(along(k1, 0.5 * h), voltage, load[1]);
         let k3 = self.derivative(along(k2, 0.5 * h), voltage, load[1]);
         let k4 = self.derivative(along(k3, h), voltage, load[2]);
-        let mean = |k1: f64, k2: f64, k3: f64, k4: f64| (k1 + 2.0 * (k2 + k3) + k4) / 6.0;
+        let sum = |k1: f64, k2: f64, k3: f64, k4: f64| k1 + 2.0 * (k2 + k3) + k4;
         along(
             State {
-                speed: mean(k1.speed, k2.speed, k3.speed, k4.speed),
-                current: mean(k1.current, k2.current, k3.current, k4.current),
+                speed: sum(k1.speed, k2.speed, k3.speed, k4.speed),
+                current: sum(k1.current, k2.current, k3.current, k4.current),
             },
-            h,
+            h / 6.0,
         )
     }
 
@@ -116,11 +130,11 @@ impl Plant {
     fn freewheel(&self, state: State, bus: f64, load: [f64; 3], h: f64) -> State {
         let direction = if state.current != 0.0 {
             state.current.signum()
-        } else if self.back_emf_constant * state.speed.abs() > bus {
+        } else if self.motor.back_emf_constant * state.speed.abs() > bus {
             -state.speed.signum()
         } else {
             // No current flows: only the mechanics go on, and a back-EMF matched by the voltage keeps it so.
-            let matched = self.back_emf_constant * state.speed;
+            let matched = self.motor.back_emf_constant * state.speed;
             let next = self.rk4(state, matched, load, h);
             return State { current: 0.0, ..next };
         };
@@ -134,7 +148,7 @@ impl Plant {
 mod tests {
     use super::*;
 
-    pub const PAPER: Plant = Plant {
+    const PAPER: Motor = Motor {
         inertia: 7.95e-5,
         inductance: 105e-6,
         resistance: 0.7,
@@ -148,7 +162,8 @@ mod tests {
     }
 
     /// State after 10 ms of 12 V in `steps` steps.
-    fn integrate(plant: &Plant, armature: Armature, start: State, steps: usize) -> State {
+    fn integrate(motor: Motor, armature: Armature, start: State, steps: usize) -> State {
+        let plant = Plant::new(motor);
         let h = 0.01 / steps as f64;
         (0..steps).fold(start, |state, step| {
             let t = step as f64 * h;
@@ -162,10 +177,9 @@ mod tests {
 
     #[test]
     fn order_of_accuracy_is_four() {
-        let with_friction =
-            Plant { viscous_friction: 1e-5, coulomb_friction: 5e-3, ..PAPER };
-        for plant in [PAPER, with_friction] {
-            let run = |steps| integrate(&plant, Armature::Driven(12.0), State::default(), steps);
+        let with_friction = Motor { viscous_friction: 1e-5, coulomb_friction: 5e-3, ..PAPER };
+        for motor in [PAPER, with_friction] {
+            let run = |steps| integrate(motor, Armature::Driven(12.0), State::default(), steps);
             let truth = run(64_000);
             let errors: Vec<f64> = [500, 1000, 2000, 4000]
                 .map(|steps| distance(run(steps), truth))
@@ -181,16 +195,17 @@ mod tests {
     fn one_step_per_pwm_period_is_accurate_enough() {
         // The paper's motor at 20 kHz: 200 periods, one step each.
         let period = 5e-5;
-        assert_eq!(PAPER.steps_for(period), 1);
-        let coarse = integrate(&PAPER, Armature::Driven(12.0), State::default(), 200);
-        let truth = integrate(&PAPER, Armature::Driven(12.0), State::default(), 64_000);
+        assert_eq!(Plant::new(PAPER).steps_for(period), 1);
+        let coarse = integrate(PAPER, Armature::Driven(12.0), State::default(), 200);
+        let truth = integrate(PAPER, Armature::Driven(12.0), State::default(), 64_000);
         assert!(distance(coarse, truth) < 1e-3, "{coarse:?} is not {truth:?}");
         assert!(distance(coarse, truth) > 1e-9, "RK4 with one step cannot be that good");
     }
 
     #[test]
     fn settles_where_algebra_says() {
-        let plant = Plant { viscous_friction: 1e-4, coulomb_friction: 0.01, ..PAPER };
+        let plant =
+            Plant::new(Motor { viscous_friction: 1e-4, coulomb_friction: 0.01, ..PAPER });
         let mut state = State::default();
         for _ in 0..40_000 {
             state = plant.step(state, Armature::Driven(12.0), [0.05; 3], 5e-5);
@@ -206,14 +221,14 @@ mod tests {
     #[test]
     fn open_switches_let_the_current_die_and_the_motor_coast() {
         let start = State { speed: 100.0, current: 10.0 };
-        let coast = integrate(&PAPER, Armature::Open(24.0), start, 1000);
+        let coast = integrate(PAPER, Armature::Open(24.0), start, 1000);
         assert_eq!(coast.current, 0.0);
         // Only the load brakes, after the current has died within 10 A * 105 uH / 24 V = 44 us.
         let braked_by = |torque: f64| start.speed - torque * 0.01 / PAPER.inertia;
         assert!((braked_by(0.055)..braked_by(0.045)).contains(&coast.speed), "{coast:?}");
         // Spun beyond the bus, the motor generates into it.
         let fast = State { speed: 1000.0, current: 0.0 };
-        let generating = integrate(&PAPER, Armature::Open(24.0), fast, 1000);
+        let generating = integrate(PAPER, Armature::Open(24.0), fast, 1000);
         assert!(generating.current < 0.0, "{generating:?}");
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! The schema is documented for users in `scenarios/README.md`.
 
-use crate::plant::{Plant, State};
+use crate::plant::{Motor, State};
 use crate::profile::{Load, Step};
 use clap::ValueEnum;
 use quasidrive::config::ConfigError;
@@ -24,7 +24,7 @@ pub struct Scenario {
     /// Simulated time [s].
     pub duration: f64,
     /// The motor; the controller is built for the same one, less Coulomb friction.
-    pub motor: Plant,
+    pub motor: Motor,
     /// Sampling.
     #[serde(default)]
     pub timing: TimingTable,

@@ -1,7 +1,7 @@
 //! Tables for the terminal.
 
 use crate::metrics::{Figures, Metrics};
-use comfy_table::{CellAlignment, Table, presets};
+use comfy_table::{CellAlignment, Table, TableComponent, presets};
 
 /// A figure's name, its unit, and how to read it.
 pub type Row = (&'static str, &'static str, fn(&Figures) -> Option<f64>);
@@ -38,7 +38,11 @@ pub fn number(value: Option<f64>) -> String {
 /// An empty table with a header, numbers to the right of the first `text_columns`.
 pub fn table(header: Vec<String>, text_columns: usize) -> Table {
     let mut table = Table::new();
-    table.load_preset(presets::UTF8_HORIZONTAL_ONLY).set_header(header);
+    table
+        .load_preset(presets::NOTHING)
+        .set_style(TableComponent::HeaderLines, '─')
+        .set_style(TableComponent::MiddleHeaderIntersections, '─')
+        .set_header(header);
     for column in table.column_iter_mut().skip(text_columns) {
         column.set_cell_alignment(CellAlignment::Right);
     }
@@ -49,8 +53,8 @@ pub fn table(header: Vec<String>, text_columns: usize) -> Table {
 pub fn metrics_table(runs: &[(String, Metrics)]) -> Table {
     let mut header = vec!["".to_owned(), "unit".to_owned()];
     for (name, _) in runs {
-        header.push(name.clone());
-        header.push("steady".to_owned());
+        header.push(format!("{name}\nwhole"));
+        header.push(format!("{name}\nsteady"));
     }
     let mut table = table(header, 2);
     for (name, unit, read) in ROWS {
