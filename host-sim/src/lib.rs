@@ -8,12 +8,13 @@
 //! - [`simulation`]: plays a scenario, period by period;
 //! - [`metrics`]: figures of merit of a run;
 //! - [`reproduction`]: the runs that reproduce the paper;
-//! - [`report`]: its HTML report; [`terminal`]: its tables in the terminal.
+//! - [`report`]: what they show, as HTML and in the terminal; [`plot`] and [`terminal`] draw its plots and tables.
 
 pub mod board;
 pub mod double;
 pub mod metrics;
 pub mod plant;
+pub mod plot;
 pub mod profile;
 pub mod report;
 pub mod reproduction;

@@ -113,7 +113,7 @@ impl Waves {
     /// Goes on by one interval and gives the sum there.
     pub fn advance(&mut self) -> f64 {
         self.steps += 1;
-        let renew = self.steps % Self::RENEWAL == 0;
+        let renew = self.steps.is_multiple_of(Self::RENEWAL);
         for wave in &mut self.waves {
             (wave.sin, wave.cos) = if renew {
                 wave.sine.angle(self.steps as f64 * self.interval).sin_cos()
