@@ -5,7 +5,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use host_sim::double::Double;
 use host_sim::metrics::Metrics;
 use host_sim::scenario::{Controller, FormName, Scenario, ScenarioError};
-use host_sim::simulation::{Frame, Outcome, simulate};
+use host_sim::simulation::{Frame, Outcome, SimulationError, simulate};
 use host_sim::{report, reproduction, terminal};
 use indicatif::{ProgressBar, ProgressStyle};
 use quasidrive::drive::Fault;
@@ -128,7 +128,7 @@ fn main() -> ExitCode {
         Ok(code) => code,
         Err(error) => {
             eprintln!("error: {error:#}");
-            let refused = error.downcast_ref::<ScenarioError>().is_some();
+            let refused = error.is::<ScenarioError>() || error.is::<SimulationError>();
             ExitCode::from(if refused { 2 } else { 1 })
         }
     }
@@ -224,7 +224,7 @@ fn print_table(runs: &[RunReport]) {
         .iter()
         .map(|run| {
             let name = run.scenario.file_stem().unwrap_or_default().to_string_lossy();
-            (format!("{name}, {}", run.controller), run.metrics.clone())
+            (format!("{name}\n{}", run.controller), run.metrics.clone())
         })
         .collect();
     println!("{}", terminal::metrics_table(&columns));

@@ -139,7 +139,7 @@ mod tests {
     fn ticks_are_short() {
         let texts = [(-1e-18, 1.0), (104.7, 60.0), (5000.5, 2.0), (2e-6, 1e-5), (-20_000.0, 3e4)]
             .map(|(value, length)| tick(value, length));
-        assert_eq!(texts, ["0", "104.7", "5000.5", "2.0e-6", "-20000"]);
+        assert_eq!(texts, ["0", "105", "5000.5", "2.0e-6", "-20000"]);
     }
 
     #[test]

@@ -61,8 +61,8 @@ pub fn simulate<S: SimulatedScalar>(
     scenario: &Scenario,
     mut each: impl FnMut(&Frame),
 ) -> Result<Outcome, SimulationError> {
-    let mut board = SimulatedBoard::<S>::new(scenario);
     let mut drive = Drive::<S>::new(&scenario.drive_config())?;
+    let mut board = SimulatedBoard::<S>::new(scenario);
     drive.arm().map_err(SimulationError::Refused)?;
     let mut meter = Meter::default();
     let mut command = None;

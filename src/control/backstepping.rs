@@ -13,7 +13,8 @@
 //! Errata mended: (4) prints −a·x1 for +a1·x1; z2 is a2·x2 − x2* throughout; (11) and (21) print a2·(a4 − a1) and +a1²
 //! with inconsistent signs; (47) lacks a2 on a3·x1 and a4·x2; (21) and (47) print +c·d̂, which would leave c·d in ζ2.
 
-use super::Gains;
+use super::{Gains, Ranges};
+use crate::config::{ConfigError, require};
 use crate::math::Scalar;
 use crate::motor::Coefficients;
 use crate::trajectory::Reference;
@@ -40,25 +41,44 @@ struct VoltageGains<S: Scalar> {
 }
 
 impl<S: Scalar> Backstepping<S> {
-    pub fn new(motor: &Coefficients, gains: &Gains) -> Self {
+    /// `ranges` bound what the law will see; gains with which its arithmetic could overflow are refused.
+    pub fn new(motor: &Coefficients, gains: &Gains, ranges: &Ranges) -> Result<Self, ConfigError> {
         let &Coefficients { a1, a2, a3, a4, inductance, .. } = motor;
-        let &Gains { c, k2, .. } = gains;
+        let &Gains { c, k1, k2, .. } = gains;
         // La/a2: the voltage that changes a2·i by 1 rad/s² in a second.
         let volts = inductance / a2;
-        Self {
+        let speed = volts * (a2 * a3 - a1 * a1);
+        let current = volts * a2 * (a4 + a1);
+        let z1 = -volts * (1.0 - c * c);
+        let z2 = -volts * 2.0 * c;
+        let disturbance = volts * a1;
+        let lumped = -volts * k2;
+        let largest_voltage = speed.abs() * ranges.speed
+            + current * ranges.current
+            + z1.abs() * ranges.speed_error()
+            + z2.abs() * ranges.z2(motor, gains)
+            + disturbance * k1
+            + lumped.abs();
+        require(
+            largest_voltage <= 1e15,
+            "gains",
+            "must keep the voltage that the law can ask for below 1e15 V",
+            largest_voltage,
+        )?;
+        Ok(Self {
             a1: S::gain(-a1),
             a2: S::gain(a2),
             c: S::gain(c),
             voltage: VoltageGains {
-                speed: S::gain(volts * (a2 * a3 - a1 * a1)),
-                current: S::gain(volts * a2 * (a4 + a1)),
-                z1: S::gain(-volts * (1.0 - c * c)),
-                z2: S::gain(-volts * 2.0 * c),
+                speed: S::gain(speed),
+                current: S::gain(current),
+                z1: S::gain(z1),
+                z2: S::gain(z2),
                 jerk: S::gain(volts),
-                disturbance: S::gain(volts * a1),
-                lumped: S::gain(-volts * k2),
+                disturbance: S::gain(disturbance),
+                lumped: S::gain(lumped),
             },
-        }
+        })
     }
 
     /// The acceleration that the motor's model gives without load, −a1·ω + a2·i [rad/s²].

@@ -48,6 +48,15 @@ impl Gains {
         k2: 755_000.0,
         epsilon2: 5.0,
     };
+
+    fn check(&self) -> Result<(), ConfigError> {
+        positive("gains.c", self.c)?;
+        positive("gains.k1", self.k1)?;
+        positive("gains.epsilon1", self.epsilon1)?;
+        positive("gains.k2", self.k2)?;
+        positive("gains.epsilon2", self.epsilon2)?;
+        Ok(())
+    }
 }
 
 /// When the loop samples and when its voltage takes effect.
@@ -111,13 +120,26 @@ pub struct ControlConfig {
     pub start: Start,
 }
 
-/// Largest magnitudes that a sample may have, from which follow the largest mismatches worth remembering.
+/// Largest magnitudes that a sample and a command may have. What follows from them bounds the estimators' memory and
+/// shows that nothing overflows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Ranges {
-    /// [rad/s]
+    /// Speed, measured or commanded [rad/s].
     pub speed: f32,
-    /// [A]
+    /// Current [A].
     pub current: f32,
+}
+
+impl Ranges {
+    /// z1 [rad/s]: from one end of the range of speeds to the other.
+    fn speed_error(&self) -> f32 {
+        2.0 * self.speed
+    }
+
+    /// z2 [rad/s²], of a reference that holds its speed.
+    fn z2(&self, motor: &Coefficients, gains: &Gains) -> f32 {
+        gains.c * self.speed_error() + motor.a1 * self.speed + motor.a2 * self.current + gains.k1
+    }
 }
 
 /// What a control step saw and decided.
@@ -150,36 +172,36 @@ impl<S: Scalar> Controller<S> {
     ) -> Result<Self, ConfigError> {
         timing.check()?;
         let gains = &config.gains;
-        positive("gains.c", gains.c)?;
-        for (strength_field, strength, layer_field, layer) in [
-            ("gains.k1", gains.k1, "gains.epsilon1", gains.epsilon1),
-            ("gains.k2", gains.k2, "gains.epsilon2", gains.epsilon2),
+        gains.check()?;
+        let z2 = ranges.z2(motor, gains);
+        require(z2 <= 1e12, "gains.c", "must keep z2 within 1e12 rad/s²", gains.c)?;
+        for (strength, layer, layer_field, range) in [
+            (gains.k1, gains.epsilon1, "gains.epsilon1", ranges.speed_error()),
+            (gains.k2, gains.epsilon2, "gains.epsilon2", z2),
         ] {
-            positive(strength_field, strength)?;
-            positive(layer_field, layer)?;
-            let beta = timing.horizon() * strength / layer;
             require(
-                beta <= Injection::<S>::MAX_BETA,
+                timing.horizon() * strength / layer <= Injection::<S>::MAX_BETA,
                 layer_field,
                 "must be larger: strength·horizon/layer may be 2000 at most",
                 layer,
             )?;
+            // An f32 of seven digits would not see the layer beside such a mismatch.
+            require(
+                range / layer <= 1e7,
+                layer_field,
+                "must be at least 1e-7 of the largest mismatch",
+                layer,
+            )?;
         }
-        // A jump of the reference from one end of the range to the other, on top of the largest current.
-        let speed_range = 2.0 * ranges.speed;
-        let z2_range = positive(
-            "gains.c",
-            (gains.c + motor.a1) * speed_range + motor.a2 * ranges.current + gains.k1,
-        )?;
         let (memory, start) = match config.law {
             Law::Backstepping => (None, Start::Matched),
             Law::Qsmdo => (Some(Memory::Observer), config.start),
             Law::Qismc => (Some(Memory::Integral), Start::Matched),
         };
         Ok(Self {
-            law: Backstepping::new(motor, gains),
+            law: Backstepping::new(motor, gains, ranges)?,
             estimator: memory.map(|memory| {
-                let ranges = (speed_range, z2_range);
+                let ranges = (ranges.speed_error(), z2);
                 Estimator::new(memory, gains, timing, config.form, start, ranges)
             }),
         })

@@ -1,0 +1,193 @@
+//! The command line as a user meets it: output, files, exit codes, refusals.
+
+use assert_cmd::Command;
+use predicates::prelude::*;
+use predicates::str::{contains, starts_with};
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+
+fn host_sim() -> Command {
+    Command::new(env!("CARGO_BIN_EXE_host-sim"))
+}
+
+fn scenarios() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios")
+}
+
+fn paper() -> PathBuf {
+    scenarios().join("paper.toml")
+}
+
+/// The paper's scenario with one piece of text replaced.
+fn edited(from: &str, to: &str) -> (tempfile::TempDir, PathBuf) {
+    let text = std::fs::read_to_string(paper()).expect("shipped");
+    assert!(text.contains(from), "{from:?} is not in paper.toml");
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let file = folder.path().join("edited.toml");
+    std::fs::write(&file, text.replacen(from, to, 1)).expect("written");
+    (folder, file)
+}
+
+#[test]
+fn json_holds_the_metrics_in_si_units() {
+    let output = host_sim().arg("run").arg(paper()).arg("--json").output().expect("runs");
+    assert!(output.status.success());
+    assert!(output.stderr.is_empty(), "no progress bar in a pipe");
+    let run: Value = serde_json::from_slice(&output.stdout).expect("one JSON object");
+    let metrics = &run["metrics"];
+    for name in [
+        "rms_z1",
+        "rms_z2",
+        "rms_voltage",
+        "rms_voltage_step",
+        "rms_load_torque_error",
+        "peak_speed",
+        "peak_current",
+        "peak_voltage",
+        "first_voltage",
+    ] {
+        assert!(metrics[name].as_f64().expect(name) > 0.0, "{name}");
+        assert!(metrics["steady"][name].as_f64().expect(name) > 0.0, "steady {name}");
+    }
+    assert_eq!(metrics["periods"], 200_000);
+    // Three jumps: 1.5 s, 2.5 s and 1.5 s are left of 3 s, 4 s and 3 s.
+    assert_eq!(metrics["steady"]["periods"], 110_000);
+    assert_eq!(run["controller"], "bs-qsmdo");
+    assert_eq!(run["fault"], Value::Null);
+}
+
+#[test]
+fn overrides_replace_the_scenarios_settings() {
+    let run = |arguments: &[&str]| -> Value {
+        let output = host_sim().arg("run").arg(paper()).arg("--json").args(arguments).output();
+        serde_json::from_slice(&output.expect("runs").stdout).expect("one JSON object")
+    };
+    let changed =
+        run(&["--controller", "bs", "--rate", "10000", "--form", "explicit", "--scalar", "f64"]);
+    assert_eq!(changed["controller"], "bs");
+    assert_eq!(changed["form"], "explicit");
+    assert_eq!(changed["scalar"], "f64");
+    assert_eq!(changed["metrics"]["periods"], 100_000);
+    let error = |run: &Value| run["metrics"]["steady"]["rms_z1"].as_f64().expect("counted");
+    assert!(error(&changed) > 1000.0 * error(&run(&[])), "plain BS does not hold the load");
+}
+
+#[test]
+fn csv_holds_every_period() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let out = folder.path().join("run.csv");
+    host_sim().arg("run").arg(paper()).arg("--csv").arg(&out).assert().success();
+    let text = std::fs::read_to_string(&out).expect("written");
+    let mut lines = text.lines();
+    let header = lines.next().expect("a header");
+    assert!(header.starts_with("time,reference,speed,current,voltage,z1,z2,"), "{header}");
+    assert_eq!(lines.clone().count(), 200_000);
+    assert!(lines.next().expect("a row").starts_with("0.0,104.72"));
+}
+
+#[test]
+fn table_and_comparison() {
+    host_sim().arg("run").arg(paper()).assert().success().stdout(contains("rms z1"));
+    let smooth = scenarios().join("smooth.toml");
+    host_sim()
+        .arg("compare")
+        .args([paper(), smooth])
+        .assert()
+        .success()
+        .stdout(contains("paper").and(contains("smooth")).and(contains("rms load torque error")));
+}
+
+#[test]
+fn refusals_name_file_line_and_field() {
+    let cases = [
+        ("inertia = 7.95e-5", "inertia = 0.0", ":5: motor.inertia must be positive"),
+        ("inertia = 7.95e-5", "inertia = -1.0", ":5: motor.inertia must be positive"),
+        ("inertia = 7.95e-5", "inertia = 1e-60", ":5: motor.inertia must be positive"),
+        ("inertia = 7.95e-5", "intertia = 7.95e-5", ":5: motor.intertia: unknown field"),
+        ("viscous_friction = 0", "viscous_friction = -1", ":9: motor.viscous_friction must be zero"),
+        ("duration = 10.0", "duration = nan", ":2: duration must be positive and finite"),
+        ("duration = 10.0", "duration = -1", ":2: duration must be positive and finite"),
+        ("rate = 20e3", "rate = inf", ":12: timing.rate must be positive and finite"),
+        ("rate = 20e3", "rate = \"fast\"", ":12: timing.rate: invalid type"),
+        ("voltage = 24.0", "voltage = 0", ":16: bus.voltage must be positive"),
+        ("\"bs-qsmdo\"", "\"pid\"", ":19: control.controller: unknown variant `pid`"),
+        ("k1 = 1300.0", "", ":23: gains: missing field `k1`"),
+        ("epsilon2 = 5.0", "epsilon2 = 1e-4", ":28: gains.epsilon2 must be larger"),
+        ("time = 3.0", "time = -3.0", ":33: reference.steps[1].time must be zero or positive"),
+        ("time = 3.0", "time = 8.0", ":34: reference.steps[2].time must not be before"),
+        ("136.13", "5000", ":33: reference.steps[1].value must be within ±limits.speed"),
+        ("frequency = 1.0", "frequency = inf", ":41: load.sines[1].frequency must be zero"),
+        ("[load]", "[load", ":37: "),
+        ("[load]", "[road]", "unknown field `road`"),
+        ("[bus]", "[limits]\nduty = 2.0\n[bus]", ":16: limits.duty must be above 0 and at most 1"),
+        ("[reference]", "[reference]\nbandwidth = 5", ":31: reference.bandwidth is for shape"),
+        ("[reference]", "[reference]\nshape = \"second-order\"", ":31: reference.shape"),
+    ];
+    for (from, to, message) in cases {
+        let (_folder, file) = edited(from, to);
+        host_sim()
+            .arg("run")
+            .arg(&file)
+            .assert()
+            .code(2)
+            .stdout("")
+            .stderr(starts_with("error: ").and(contains("edited.toml")).and(contains(message)));
+    }
+}
+
+#[test]
+fn exit_codes_tell_failure() {
+    let missing = "no-such-file.toml";
+    host_sim().arg("run").arg(missing).assert().code(2).stderr(contains(missing));
+    host_sim().arg("run").assert().code(2);
+    let bad_rate = host_sim().args(["run", "--rate", "0"]).arg(paper()).assert();
+    bad_rate.code(2).stderr(contains("timing.rate"));
+    host_sim()
+        .arg("run")
+        .arg(scenarios().join("bus-sag.toml"))
+        .assert()
+        .code(3)
+        .stderr(contains("the drive stopped at 2.500000 s: BusUndervoltage"));
+    host_sim()
+        .args(["paper", "--report", "/dev/null/report.html"])
+        .assert()
+        .code(1)
+        .stderr(contains("/dev/null"));
+}
+
+#[test]
+fn every_shipped_scenario_plays() {
+    let mut played = 0;
+    for entry in std::fs::read_dir(scenarios()).expect("the scenarios folder") {
+        let file = entry.expect("an entry").path();
+        if file.extension().is_none_or(|extension| extension != "toml") {
+            continue;
+        }
+        let expected = if file.ends_with("bus-sag.toml") { 3 } else { 0 };
+        host_sim().arg("run").arg(&file).assert().code(expected);
+        played += 1;
+    }
+    assert!(played >= 5, "only {played} scenarios are shipped");
+}
+
+#[test]
+fn paper_writes_a_self_contained_report() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let out = folder.path().join("deep").join("report.html");
+    host_sim()
+        .args(["paper", "--report"])
+        .arg(&out)
+        .assert()
+        .success()
+        .stdout(contains("near-continuous").and(contains("Report: ")));
+    let page = std::fs::read_to_string(&out).expect("written");
+    for figure in 3..=11 {
+        assert!(page.contains(&format!("id=\"figure-{figure}\"")), "Figure {figure}");
+    }
+    assert!(page.matches("<svg").count() >= 30, "plots are drawn");
+    // The SVG namespace is a name, not a place.
+    let page = page.replace("http://www.w3.org/2000/svg", "");
+    for outside in ["http://", "https://", "<script", "<link", "<img"] {
+        assert!(!page.contains(outside), "{outside} in the report");
+    }
+}

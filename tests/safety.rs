@@ -1,0 +1,303 @@
+//! Whatever comes in, what goes out is finite and bounded, or off.
+
+use proptest::prelude::*;
+use quasidrive::control::{ControlConfig, Form, Gains, Law, Start, Timing};
+use quasidrive::drive::{Drive, DriveConfig, Fault, Limits, Mode, Refusal};
+use quasidrive::hal::{BridgeCommand, Sample};
+use quasidrive::motor::MotorParameters;
+use quasidrive::trajectory::Shape;
+
+const LIMITS: Limits =
+    Limits { duty: 0.92, speed: 400.0, current: 40.0, bus_min: 8.0, bus_max: 28.0 };
+const GOOD: Sample<f32> = Sample { speed: 100.0, current: 1.0, bus_voltage: 24.0 };
+
+fn config(law: Law) -> DriveConfig {
+    DriveConfig {
+        motor: MotorParameters::PAPER,
+        control: ControlConfig {
+            law,
+            gains: Gains::PAPER,
+            form: Form::Implicit,
+            start: Start::Zero,
+        },
+        timing: Timing { rate: 20_000.0, delay: true },
+        limits: LIMITS,
+        shape: Shape::Step,
+    }
+}
+
+fn armed(config: &DriveConfig) -> Drive<f32> {
+    let mut drive = Drive::new(config).expect("valid configuration");
+    drive.arm().expect("no fault");
+    drive
+}
+
+fn any_law() -> impl Strategy<Value = Law> {
+    prop_oneof![Just(Law::Backstepping), Just(Law::Qsmdo), Just(Law::Qismc)]
+}
+
+fn any_shape() -> impl Strategy<Value = Shape> {
+    prop_oneof![
+        Just(Shape::Step),
+        (1.0..10_000.0_f32).prop_map(|bandwidth| Shape::SecondOrder { bandwidth })
+    ]
+}
+
+/// Any finite number, most of them absurd.
+fn finite() -> impl Strategy<Value = f32> {
+    prop::num::f32::NORMAL | prop::num::f32::SUBNORMAL | prop::num::f32::ZERO
+}
+
+fn plausible() -> impl Strategy<Value = Sample<f32>> {
+    (-400.0..=400.0_f32, -40.0..=40.0_f32, 8.0..=28.0_f32)
+        .prop_map(|(speed, current, bus_voltage)| Sample { speed, current, bus_voltage })
+}
+
+proptest! {
+    #[test]
+    fn any_finite_sample_gives_a_finite_bounded_command(
+        law in any_law(),
+        samples in prop::collection::vec((finite(), finite(), finite()), 1..50),
+    ) {
+        let mut drive = armed(&config(law));
+        for (speed, current, bus_voltage) in samples {
+            if let BridgeCommand::Duty(duty) = drive.step(&Sample { speed, current, bus_voltage }) {
+                prop_assert!(duty.is_finite() && duty.abs() <= LIMITS.duty, "{duty}");
+            } else {
+                prop_assert!(matches!(drive.mode(), Mode::Faulted(_)));
+            }
+        }
+    }
+
+    #[test]
+    fn plausible_samples_in_any_order_keep_the_drive_running_and_bounded(
+        law in any_law(),
+        form in prop_oneof![Just(Form::Implicit), Just(Form::Explicit)],
+        shape in any_shape(),
+        periods in prop::collection::vec((plausible(), -400.0..=400.0_f32), 1..300),
+    ) {
+        let mut config = config(law);
+        config.control.form = form;
+        config.shape = shape;
+        let mut drive = armed(&config);
+        for (sample, target) in periods {
+            prop_assert_eq!(drive.set_speed(target), Ok(()));
+            match drive.step(&sample) {
+                BridgeCommand::Duty(duty) => {
+                    prop_assert!(duty.is_finite() && duty.abs() <= LIMITS.duty, "{}", duty);
+                }
+                BridgeCommand::Off => prop_assert!(false, "stopped by {:?}", drive.mode()),
+            }
+            let telemetry = drive.telemetry().expect("a period was driven");
+            // |d̂| ≤ k1, by construction of the injection.
+            prop_assert!(telemetry.signals.disturbance.abs() <= 1300.0 * (1.0 + f32::EPSILON));
+            prop_assert!(drive.sliding_variables().iter().all(|y| y.is_finite()));
+        }
+    }
+
+    #[test]
+    fn nan_or_infinity_anywhere_switches_off_for_good(
+        law in any_law(),
+        before in prop::collection::vec(plausible(), 0..20),
+        broken in plausible(),
+        bad in prop_oneof![Just(f32::NAN), Just(f32::INFINITY), Just(f32::NEG_INFINITY)],
+        field in 0..3,
+        after in prop::collection::vec(plausible(), 1..20),
+    ) {
+        let mut drive = armed(&config(law));
+        for sample in &before {
+            drive.step(sample);
+        }
+        let broken = match field {
+            0 => Sample { speed: bad, ..broken },
+            1 => Sample { current: bad, ..broken },
+            _ => Sample { bus_voltage: bad, ..broken },
+        };
+        prop_assert_eq!(drive.step(&broken), BridgeCommand::Off);
+        prop_assert_eq!(drive.mode(), Mode::Faulted(Fault::SampleNotFinite));
+        for sample in &after {
+            prop_assert_eq!(drive.step(sample), BridgeCommand::Off);
+        }
+        prop_assert_eq!(drive.arm(), Err(Refusal::Faulted(Fault::SampleNotFinite)));
+    }
+
+    #[test]
+    fn no_configuration_panics(
+        values in prop::array::uniform16(prop_oneof![finite(), Just(f32::NAN), Just(f32::INFINITY)]),
+        law in any_law(),
+    ) {
+        let _ = Drive::<f32>::new(&from_values(law, values));
+    }
+
+    /// Over decades around the paper's values. Most sets are accepted: proptest fails when too many are not.
+    #[test]
+    fn every_accepted_configuration_gives_finite_commands(
+        law in any_law(),
+        form in prop_oneof![Just(Form::Implicit), Just(Form::Explicit)],
+        decades in prop::array::uniform12(-1.5..1.5_f32),
+        samples in prop::collection::vec(
+            (-1.0..=1.0_f32, -1.0..=1.0_f32, 0.0..=1.0_f32, -1.0..=1.0_f32), 1..200),
+    ) {
+        let around = [7.95e-5, 105e-6, 0.7, 1e-5, 59e-3, 200.0, 1300.0, 0.05, 755e3, 5.0, 400.0, 40.0];
+        let mut scaled = decades;
+        for (value, around) in scaled.iter_mut().zip(around) {
+            *value = around * 10_f32.powf(*value);
+        }
+        let [inertia, inductance, resistance, friction, back_emf, c, k1, epsilon1, k2, epsilon2, speed, current] =
+            scaled;
+        let mut config = from_values(law, [
+            inertia, inductance, resistance, friction, back_emf, c, k1, epsilon1, k2, epsilon2,
+            20_000.0, 0.92, speed, current, 8.0, 28.0,
+        ]);
+        config.control.form = form;
+        let built = Drive::<f32>::new(&config);
+        prop_assume!(built.is_ok());
+        let mut drive = built.expect("just checked");
+        drive.arm().expect("no fault");
+        for (speed, current, bus, target) in samples {
+            prop_assert_eq!(drive.set_speed(target * config.limits.speed), Ok(()));
+            let sample = Sample {
+                speed: speed * config.limits.speed,
+                current: current * config.limits.current,
+                bus_voltage: (8.0 + 20.0 * bus).min(28.0),
+            };
+            match drive.step(&sample) {
+                BridgeCommand::Duty(duty) => {
+                    prop_assert!(duty.is_finite() && duty.abs() <= config.limits.duty, "{}", duty);
+                }
+                BridgeCommand::Off => prop_assert!(false, "stopped by {:?}", drive.mode()),
+            }
+        }
+    }
+}
+
+fn from_values(law: Law, values: [f32; 16]) -> DriveConfig {
+    let [
+        inertia,
+        inductance,
+        resistance,
+        viscous_friction,
+        back_emf_constant,
+        c,
+        k1,
+        epsilon1,
+        k2,
+        epsilon2,
+        rate,
+        duty,
+        speed,
+        current,
+        bus_min,
+        bus_max,
+    ] = values;
+    DriveConfig {
+        motor: MotorParameters { inertia, inductance, resistance, viscous_friction, back_emf_constant },
+        timing: Timing { rate, delay: true },
+        limits: Limits { duty, speed, current, bus_min, bus_max },
+        ..with_gains(config(law), Gains { c, k1, epsilon1, k2, epsilon2 })
+    }
+}
+
+#[test]
+fn outputs_are_off_until_armed_and_after_disarming() {
+    let mut drive = Drive::<f32>::new(&config(Law::Qsmdo)).expect("valid configuration");
+    assert_eq!(drive.mode(), Mode::Off);
+    assert_eq!(drive.step(&GOOD), BridgeCommand::Off);
+    drive.arm().expect("no fault");
+    assert!(matches!(drive.step(&GOOD), BridgeCommand::Duty(_)));
+    drive.disarm();
+    assert_eq!(drive.step(&GOOD), BridgeCommand::Off);
+    assert_eq!(BridgeCommand::<f32>::default(), BridgeCommand::Off);
+}
+
+#[test]
+fn each_limit_has_its_fault_and_faults_stay() {
+    let cases = [
+        (Sample { speed: 401.0, ..GOOD }, Fault::Overspeed),
+        (Sample { speed: -401.0, ..GOOD }, Fault::Overspeed),
+        (Sample { current: 40.5, ..GOOD }, Fault::Overcurrent),
+        (Sample { current: -40.5, ..GOOD }, Fault::Overcurrent),
+        (Sample { bus_voltage: 7.9, ..GOOD }, Fault::BusUndervoltage),
+        (Sample { bus_voltage: 0.0, ..GOOD }, Fault::BusUndervoltage),
+        (Sample { bus_voltage: 28.1, ..GOOD }, Fault::BusOvervoltage),
+    ];
+    for (sample, fault) in cases {
+        let mut drive = armed(&config(Law::Qsmdo));
+        assert_eq!(drive.step(&sample), BridgeCommand::Off, "{fault:?}");
+        assert_eq!(drive.mode(), Mode::Faulted(fault));
+        assert_eq!(drive.step(&GOOD), BridgeCommand::Off, "{fault:?} must stay");
+        drive.disarm();
+        assert_eq!(drive.arm(), Err(Refusal::Faulted(fault)), "disarming clears no fault");
+        drive.clear_fault();
+        assert_eq!(drive.step(&GOOD), BridgeCommand::Off, "clearing does not arm");
+        drive.arm().expect("cleared");
+        assert!(matches!(drive.step(&GOOD), BridgeCommand::Duty(_)));
+    }
+}
+
+#[test]
+fn commands_out_of_range_are_refused_and_the_former_stays() {
+    let mut drive = armed(&config(Law::Qsmdo));
+    drive.set_speed(100.0).expect("in range");
+    for bad in [f32::NAN, f32::INFINITY, 400.1, -400.1] {
+        assert_eq!(drive.set_speed(bad), Err(Refusal::SpeedOutOfRange), "{bad}");
+    }
+    drive.step(&GOOD);
+    let telemetry = drive.telemetry().expect("a period was driven");
+    assert_eq!(telemetry.reference.speed, 100.0);
+}
+
+#[test]
+fn a_drive_that_ran_starts_anew_when_armed_again() {
+    let mut used = armed(&config(Law::Qsmdo));
+    used.set_speed(100.0).expect("in range");
+    for step in 0..1000 {
+        used.step(&Sample { speed: step as f32 * 0.1, ..GOOD });
+    }
+    used.disarm();
+    used.arm().expect("no fault");
+    let mut fresh = armed(&config(Law::Qsmdo));
+    fresh.set_speed(100.0).expect("in range");
+    for _ in 0..10 {
+        assert_eq!(used.step(&GOOD), fresh.step(&GOOD));
+    }
+}
+
+#[test]
+fn refused_configurations_name_the_field() {
+    let good = config(Law::Qsmdo);
+    let cases: [(DriveConfig, &str); 12] = [
+        (DriveConfig { motor: MotorParameters { inertia: 0.0, ..good.motor }, ..good }, "motor.inertia"),
+        (DriveConfig { timing: Timing { rate: 0.0, ..good.timing }, ..good }, "timing.rate"),
+        (DriveConfig { timing: Timing { rate: f32::NAN, ..good.timing }, ..good }, "timing.rate"),
+        (DriveConfig { limits: Limits { duty: 1.01, ..LIMITS }, ..good }, "limits.duty"),
+        (DriveConfig { limits: Limits { current: 0.0, ..LIMITS }, ..good }, "limits.current"),
+        (DriveConfig { limits: Limits { speed: f32::INFINITY, ..LIMITS }, ..good }, "limits.speed"),
+        (DriveConfig { limits: Limits { bus_min: 30.0, ..LIMITS }, ..good }, "limits.bus_max"),
+        (DriveConfig { shape: Shape::SecondOrder { bandwidth: -1.0 }, ..good }, "reference.bandwidth"),
+        (with_gains(good, Gains { epsilon2: 1e-2, ..Gains::PAPER }), "gains.epsilon2"),
+        (with_gains(good, Gains { k1: 1e-9, epsilon1: 1e-6, ..Gains::PAPER }), "gains.epsilon1"),
+        (with_gains(good, Gains { c: 1e11, ..Gains::PAPER }), "gains.c"),
+        (with_gains(good, Gains { k2: 1e30, epsilon2: 1e27, ..Gains::PAPER }), "gains"),
+    ];
+    for (config, field) in cases {
+        assert_eq!(Drive::<f32>::new(&config).expect_err(field).field, field);
+    }
+    for bad in [0.0, -1.0, f32::NAN, f32::INFINITY] {
+        let cases = [
+            (Gains { c: bad, ..Gains::PAPER }, "gains.c"),
+            (Gains { k1: bad, ..Gains::PAPER }, "gains.k1"),
+            (Gains { epsilon1: bad, ..Gains::PAPER }, "gains.epsilon1"),
+            (Gains { k2: bad, ..Gains::PAPER }, "gains.k2"),
+            (Gains { epsilon2: bad, ..Gains::PAPER }, "gains.epsilon2"),
+        ];
+        for (gains, field) in cases {
+            let refused = Drive::<f32>::new(&with_gains(good, gains)).expect_err(field);
+            assert_eq!(refused.field, field, "{bad}");
+        }
+    }
+}
+
+fn with_gains(config: DriveConfig, gains: Gains) -> DriveConfig {
+    DriveConfig { control: ControlConfig { gains, ..config.control }, ..config }
+}
