@@ -5,7 +5,7 @@ fn main() {
     println!("cargo::rerun-if-changed=memory.x");
     let bare_metal = std::env::var("CARGO_CFG_TARGET_OS").is_ok_and(|os| os == "none");
     if bare_metal {
-        println!("cargo::rustc-link-arg-bins=--nmagic");
-        println!("cargo::rustc-link-arg-bins=-Tlink.x");
+        println!("cargo::rustc-link-arg=--nmagic");
+        println!("cargo::rustc-link-arg=-Tlink.x");
     }
 }

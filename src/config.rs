@@ -28,29 +28,15 @@ pub(crate) fn require(
     rule: &'static str,
     value: f32,
 ) -> Result<f32, ConfigError> {
-    if holds {
-        Ok(value)
-    } else {
-        Err(ConfigError { field, rule, value })
-    }
+    if holds { Ok(value) } else { Err(ConfigError { field, rule, value }) }
 }
 
 /// Passes on a positive, normal number: zero, negative, subnormal, infinite and NaN values are refused.
 pub(crate) fn positive(field: &'static str, value: f32) -> Result<f32, ConfigError> {
-    require(
-        value > 0.0 && value.is_normal(),
-        field,
-        "must be positive and finite",
-        value,
-    )
+    require(value > 0.0 && value.is_normal(), field, "must be positive and finite", value)
 }
 
 /// Passes on zero or a positive finite number.
 pub(crate) fn non_negative(field: &'static str, value: f32) -> Result<f32, ConfigError> {
-    require(
-        value >= 0.0 && value.is_finite(),
-        field,
-        "must be zero or positive, and finite",
-        value,
-    )
+    require(value >= 0.0 && value.is_finite(), field, "must be zero or positive, and finite", value)
 }

@@ -207,9 +207,7 @@ impl<S: Scalar> Drive<S> {
             return BridgeCommand::Off;
         }
         let reference = self.shaper.advance();
-        let signals = self
-            .controller
-            .step(sample.speed, sample.current, &reference);
+        let signals = self.controller.step(sample.speed, sample.current, &reference);
         let duty = (signals.voltage / sample.bus_voltage).limited(self.duty_limit);
         let voltage = duty * sample.bus_voltage;
         self.telemetry = Some(Telemetry { reference, signals, voltage });

@@ -47,10 +47,7 @@ impl MotorParameters {
         Ok(Coefficients {
             a1: non_negative("motor.viscous_friction / motor.inertia", friction / inertia)?,
             a2: positive("motor.back_emf_constant / motor.inertia", back_emf / inertia)?,
-            a3: positive(
-                "motor.back_emf_constant / motor.inductance",
-                back_emf / inductance,
-            )?,
+            a3: positive("motor.back_emf_constant / motor.inductance", back_emf / inductance)?,
             a4: positive("motor.resistance / motor.inductance", resistance / inductance)?,
             inductance,
             inertia,

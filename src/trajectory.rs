@@ -76,11 +76,7 @@ impl<S: Scalar> Shaper<S> {
                 })
             }
         };
-        Ok(Self {
-            filter,
-            target: S::ZERO,
-            rest: Reference::constant(S::ZERO),
-        })
+        Ok(Self { filter, target: S::ZERO, rest: Reference::constant(S::ZERO) })
     }
 
     /// Sets the commanded speed [rad/s].

@@ -32,7 +32,10 @@ fn assert_figures(figures: &Figures, expected: [f64; 5]) {
     ];
     for (reached, expected) in reached.into_iter().zip(expected) {
         let reached = reached.expect("counted");
-        assert!((reached / expected - 1.0).abs() < 0.01, "{reached} is not {expected}: {figures:?}");
+        assert!(
+            (reached / expected - 1.0).abs() < 0.01,
+            "{reached} is not {expected}: {figures:?}"
+        );
     }
 }
 

@@ -191,7 +191,13 @@ fn from_values(law: Law, values: [f32; 16]) -> DriveConfig {
         bus_max,
     ] = values;
     DriveConfig {
-        motor: MotorParameters { inertia, inductance, resistance, viscous_friction, back_emf_constant },
+        motor: MotorParameters {
+            inertia,
+            inductance,
+            resistance,
+            viscous_friction,
+            back_emf_constant,
+        },
         timing: Timing { rate, delay: true },
         limits: Limits { duty, speed, current, bus_min, bus_max },
         ..with_gains(config(law), Gains { c, k1, epsilon1, k2, epsilon2 })
@@ -267,14 +273,20 @@ fn a_drive_that_ran_starts_anew_when_armed_again() {
 fn refused_configurations_name_the_field() {
     let good = config(Law::Qsmdo);
     let cases: [(DriveConfig, &str); 12] = [
-        (DriveConfig { motor: MotorParameters { inertia: 0.0, ..good.motor }, ..good }, "motor.inertia"),
+        (
+            DriveConfig { motor: MotorParameters { inertia: 0.0, ..good.motor }, ..good },
+            "motor.inertia",
+        ),
         (DriveConfig { timing: Timing { rate: 0.0, ..good.timing }, ..good }, "timing.rate"),
         (DriveConfig { timing: Timing { rate: f32::NAN, ..good.timing }, ..good }, "timing.rate"),
         (DriveConfig { limits: Limits { duty: 1.01, ..LIMITS }, ..good }, "limits.duty"),
         (DriveConfig { limits: Limits { current: 0.0, ..LIMITS }, ..good }, "limits.current"),
         (DriveConfig { limits: Limits { speed: f32::INFINITY, ..LIMITS }, ..good }, "limits.speed"),
         (DriveConfig { limits: Limits { bus_min: 30.0, ..LIMITS }, ..good }, "limits.bus_max"),
-        (DriveConfig { shape: Shape::SecondOrder { bandwidth: -1.0 }, ..good }, "reference.bandwidth"),
+        (
+            DriveConfig { shape: Shape::SecondOrder { bandwidth: -1.0 }, ..good },
+            "reference.bandwidth",
+        ),
         (with_gains(good, Gains { epsilon2: 1e-2, ..Gains::PAPER }), "gains.epsilon2"),
         (with_gains(good, Gains { k1: 1e-9, epsilon1: 1e-6, ..Gains::PAPER }), "gains.epsilon1"),
         (with_gains(good, Gains { c: 1e11, ..Gains::PAPER }), "gains.c"),

@@ -49,7 +49,10 @@ fn implicit_is_quiet_at_every_rate_and_gain() {
                         let error = figures.rms_z1.expect("counted");
                         // Half a dozen periods of the load's rate of change, 1.5e3 rad/s³ rms, over c.
                         let allowed = 3e-4 + 6.0 / rate * 1.5e3 / 200.0;
-                        assert!(error < allowed, "{controller} at {rate} Hz × {factor}: {error} rad/s");
+                        assert!(
+                            error < allowed,
+                            "{controller} at {rate} Hz × {factor}: {error} rad/s"
+                        );
                     }
                 }
             }

@@ -13,9 +13,11 @@ fn paper_cycle(criterion: &mut Criterion) {
         scenario.control.controller = controller;
         group.throughput(Throughput::Elements((scenario.duration * 1e3) as u64));
         group.bench_function(controller.to_string(), |bencher| {
-            bencher.iter(|| simulate::<f32>(black_box(&scenario), |frame| {
-                black_box(frame);
-            }));
+            bencher.iter(|| {
+                simulate::<f32>(black_box(&scenario), |frame| {
+                    black_box(frame);
+                })
+            });
         });
     }
     group.finish();

@@ -43,6 +43,9 @@ enum Command {
         /// Where the report goes.
         #[arg(long, value_name = "OUT", default_value = "target/paper.html")]
         report: PathBuf,
+        /// Write the README's plots to this folder instead.
+        #[arg(long, value_name = "FOLDER", conflicts_with = "report")]
+        plots: Option<PathBuf>,
     },
     /// Play several scenarios and print their figures side by side.
     Compare {
@@ -156,19 +159,29 @@ fn execute(command: Command) -> Result<ExitCode> {
             }
             Ok(exit_code(&runs))
         }
-        Command::Paper { report: out } => {
+        Command::Paper { report: out, plots } => {
             let results = reproduction::run(&progress_bar)?;
-            println!("{}", report::summary(&results));
-            if let Some(folder) = out.parent() {
-                std::fs::create_dir_all(folder)
-                    .with_context(|| format!("cannot make {}", folder.display()))?;
+            if let Some(folder) = plots {
+                for (name, svg) in report::readme_plots(&results)? {
+                    write(&folder.join(name), &svg)?;
+                }
+            } else {
+                println!("{}", report::summary(&results));
+                write(&out, &report::html(&results)?)?;
+                println!("Report: {}", out.display());
             }
-            std::fs::write(&out, report::html(&results)?)
-                .with_context(|| format!("cannot write {}", out.display()))?;
-            println!("Report: {}", out.display());
             Ok(ExitCode::SUCCESS)
         }
     }
+}
+
+/// Writes a file, and the folders it lies in.
+fn write(file: &Path, text: &str) -> Result<()> {
+    if let Some(folder) = file.parent() {
+        std::fs::create_dir_all(folder)
+            .with_context(|| format!("cannot make {}", folder.display()))?;
+    }
+    std::fs::write(file, text).with_context(|| format!("cannot write {}", file.display()))
 }
 
 /// Plays one file, with every period to `csv` if wanted.

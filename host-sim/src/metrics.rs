@@ -153,7 +153,10 @@ mod tests {
         }
         let Metrics { whole, steady } = meter.metrics();
         let near = |value: Option<f64>, expected: f64| {
-            assert!((value.expect("counted") - expected).abs() < 1e-12, "{value:?} is not {expected}");
+            assert!(
+                (value.expect("counted") - expected).abs() < 1e-12,
+                "{value:?} is not {expected}"
+            );
         };
         assert_eq!((whole.periods, steady.periods), (4, 2));
         near(whole.rms_z1, 2.0);

@@ -86,10 +86,7 @@ impl Plant {
             - self.coulomb_torque(speed)
             - load;
         let inductive_voltage = voltage - resistance * current - back_emf_constant * speed;
-        State {
-            speed: torque * self.per_inertia,
-            current: inductive_voltage * self.per_inductance,
-        }
+        State { speed: torque * self.per_inertia, current: inductive_voltage * self.per_inductance }
     }
 
     /// Integration steps that a time of `duration` [s] needs.
@@ -181,9 +178,8 @@ mod tests {
         for motor in [PAPER, with_friction] {
             let run = |steps| integrate(motor, Armature::Driven(12.0), State::default(), steps);
             let truth = run(64_000);
-            let errors: Vec<f64> = [500, 1000, 2000, 4000]
-                .map(|steps| distance(run(steps), truth))
-                .to_vec();
+            let errors: Vec<f64> =
+                [500, 1000, 2000, 4000].map(|steps| distance(run(steps), truth)).to_vec();
             for pair in errors.windows(2) {
                 let order = (pair[0] / pair[1]).log2();
                 assert!((3.8..4.3).contains(&order), "order {order} from {errors:?}");
@@ -204,8 +200,7 @@ mod tests {
 
     #[test]
     fn settles_where_algebra_says() {
-        let plant =
-            Plant::new(Motor { viscous_friction: 1e-4, coulomb_friction: 0.01, ..PAPER });
+        let plant = Plant::new(Motor { viscous_friction: 1e-4, coulomb_friction: 0.01, ..PAPER });
         let mut state = State::default();
         for _ in 0..40_000 {
             state = plant.step(state, Armature::Driven(12.0), [0.05; 3], 5e-5);

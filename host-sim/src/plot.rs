@@ -104,9 +104,9 @@ impl Plot {
             } else {
                 chart.draw_series(LineSeries::new(points, style))?
             };
-            drawn
-                .label(&line.name)
-                .legend(move |(x, y)| PathElement::new([(x, y), (x + 16, y)], color.stroke_width(2)));
+            drawn.label(&line.name).legend(move |(x, y)| {
+                PathElement::new([(x, y), (x + 16, y)], color.stroke_width(2))
+            });
         }
         chart
             .configure_series_labels()
@@ -127,7 +127,8 @@ fn tick(value: f64, length: f64) -> String {
         return if value.abs() < 1e-6 * length { "0".to_owned() } else { format!("{value:.1e}") };
     }
     let text = format!("{value:.decimals$}");
-    let text = if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { &text };
+    let text =
+        if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { &text };
     if text == "-0" { "0".to_owned() } else { text.to_owned() }
 }
 

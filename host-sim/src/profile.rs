@@ -61,9 +61,10 @@ impl Load {
 
     /// The torque's rate of change between its steps [N·m/s].
     pub fn rate_at(&self, time: f64) -> f64 {
-        let rates = self.sines.iter().map(|sine| {
-            sine.amplitude * TAU * sine.frequency * sine.angle(time).cos()
-        });
+        let rates = self
+            .sines
+            .iter()
+            .map(|sine| sine.amplitude * TAU * sine.frequency * sine.angle(time).cos());
         rates.sum()
     }
 
@@ -136,7 +137,10 @@ mod tests {
     fn steps_hold_from_their_time_on() {
         let steps = [Step { time: 1.0, value: 5.0 }, Step { time: 2.0, value: 7.0 }];
         let at = |time| value_at(&steps, -1.0, time);
-        assert_eq!([at(0.0), at(0.999), at(1.0), at(1.5), at(2.0), at(9.0)], [-1.0, -1.0, 5.0, 5.0, 7.0, 7.0]);
+        assert_eq!(
+            [at(0.0), at(0.999), at(1.0), at(1.5), at(2.0), at(9.0)],
+            [-1.0, -1.0, 5.0, 5.0, 7.0, 7.0]
+        );
     }
 
     #[test]
@@ -149,7 +153,8 @@ mod tests {
                 Sine { amplitude: 0.02, frequency: 1.0, phase: 1.0 },
             ],
         };
-        let expected = 0.05 + 0.03 * (0.6 * std::f64::consts::PI * 0.7).sin() + 0.02 * (TAU * 0.7 + 1.0).sin();
+        let expected =
+            0.05 + 0.03 * (0.6 * std::f64::consts::PI * 0.7).sin() + 0.02 * (TAU * 0.7 + 1.0).sin();
         assert!((load.at(0.7) - expected).abs() < 1e-15);
         assert!((load.at(3.0) - load.at(3.0 - 1e-9) - 0.05).abs() < 1e-8);
         let slope = (load.at(0.7 + 1e-6) - load.at(0.7 - 1e-6)) / 2e-6;

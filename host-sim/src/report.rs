@@ -6,7 +6,7 @@ use crate::reproduction::{Reproduction, Run, SETTLED, Window};
 use crate::scenario::Controller;
 use crate::simulation::Frame;
 use crate::terminal::{number, table};
-use anyhow::Result;
+use anyhow::{Context, Result};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use plotters::style::RGBColor;
 
@@ -118,7 +118,8 @@ pub fn summary(results: &Reproduction) -> String {
         let cells = [row.explicit, row.implicit, row.ratio()].map(number);
         comparison.add_row([row.what.to_owned()].into_iter().chain(cells));
     }
-    let header = ["ultimate bounds, BS-QSMDO in double precision", "near-continuous", "20 kHz, delay"];
+    let header =
+        ["ultimate bounds, BS-QSMDO in double precision", "near-continuous", "20 kHz, delay"];
     let mut bounds = table(header.map(str::to_owned).to_vec(), 1);
     for (name, near, drive) in bound_rows(results) {
         bounds.add_row([name.to_owned(), number(Some(near)), number(Some(drive))]);
@@ -271,9 +272,13 @@ fn figures() -> Vec<Figure> {
             number: 8,
             title: "Speed and its estimate in QSMDO",
             caption: "The observer's x̂1 lies on the speed: the mismatch of Figure 9 is not to be seen here.",
-            panels: vec![
-                panel(Window::Start, "x̂1 [rad/s]", QSMDO, speed_estimate, Some(("speed", speed))),
-            ],
+            panels: vec![panel(
+                Window::Start,
+                "x̂1 [rad/s]",
+                QSMDO,
+                speed_estimate,
+                Some(("speed", speed)),
+            )],
         },
         Figure {
             number: 9,
@@ -344,11 +349,8 @@ fn forms_plot(
     y_label: &str,
     read: Signal,
 ) -> Result<PreEscaped<String>> {
-    let named = |name: &str, color, run| Line {
-        name: name.to_owned(),
-        color,
-        ..line(run, window, read)
-    };
+    let named =
+        |name: &str, color, run| Line { name: name.to_owned(), color, ..line(run, window, read) };
     let title = match window {
         Window::Periods => "20 kHz, delay — 40 periods",
         _ => "20 kHz, delay — steady",
@@ -363,6 +365,17 @@ fn forms_plot(
         ],
     };
     Ok(PreEscaped(plot.svg()?))
+}
+
+/// The plots of the README, by file name.
+pub fn readme_plots(results: &Reproduction) -> Result<Vec<(&'static str, String)>> {
+    let figures = figures();
+    let speed = figures.iter().find(|figure| figure.number == 3);
+    let start = speed.and_then(|figure| figure.panels.get(1)).context("Figure 3 has no start")?;
+    Ok(vec![
+        ("start.svg", start.svg(&results.drive, "20 kHz, delay")?.0),
+        ("forms.svg", forms_plot(results, Window::Periods, "u [V]", |frame| frame.voltage)?.0),
+    ])
 }
 
 const STYLE: &str = "

@@ -148,8 +148,10 @@ pub fn run(progress: &dyn Fn(u64) -> ProgressBar) -> Result<Reproduction, Simula
         singles.chain([vary(Controller::BsQsmdo, explicit, false)]).collect();
 
     let bar = progress(doubles.iter().chain(&singles).map(Scenario::periods).sum());
-    let mut near_continuous: Vec<Run> =
-        doubles.par_iter().map(|scenario| play::<Double>(scenario, &bar)).collect::<Result<_, _>>()?;
+    let mut near_continuous: Vec<Run> = doubles
+        .par_iter()
+        .map(|scenario| play::<Double>(scenario, &bar))
+        .collect::<Result<_, _>>()?;
     let mut drive: Vec<Run> =
         singles.par_iter().map(|scenario| play::<f32>(scenario, &bar)).collect::<Result<_, _>>()?;
     bar.finish_and_clear();

@@ -104,7 +104,11 @@ fn refusals_name_file_line_and_field() {
         ("inertia = 7.95e-5", "inertia = -1.0", ":5: motor.inertia must be positive"),
         ("inertia = 7.95e-5", "inertia = 1e-60", ":5: motor.inertia must be positive"),
         ("inertia = 7.95e-5", "intertia = 7.95e-5", ":5: motor.intertia: unknown field"),
-        ("viscous_friction = 0", "viscous_friction = -1", ":9: motor.viscous_friction must be zero"),
+        (
+            "viscous_friction = 0",
+            "viscous_friction = -1",
+            ":9: motor.viscous_friction must be zero",
+        ),
         ("duration = 10.0", "duration = nan", ":2: duration must be positive and finite"),
         ("duration = 10.0", "duration = -1", ":2: duration must be positive and finite"),
         ("rate = 20e3", "rate = inf", ":12: timing.rate must be positive and finite"),

@@ -94,8 +94,7 @@ impl<S: Scalar> Estimator<S> {
     /// ζ̂2/k2 = −u2/k2, within ±1, from the two errors.
     #[inline]
     pub fn lumped(&mut self, z1: S, z2: S) -> S {
-        self.second
-            .advance(z2, S::combine([(self.minus_c, z2)]) - z1)
+        self.second.advance(z2, S::combine([(self.minus_c, z2)]) - z1)
     }
 
     /// The sliding variables: ω − x̂1 or s1 [rad/s], z2 − ẑ2 or s2 [rad/s²].

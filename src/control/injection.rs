@@ -65,12 +65,7 @@ impl<S: Scalar> Injection<S> {
             }
             .map(S::from_f32);
         }
-        Self {
-            beta,
-            per_width: S::gain(1.0 / width),
-            origin: S::from_f32(origin),
-            coefficients,
-        }
+        Self { beta, per_width: S::gain(1.0 / width), origin: S::from_f32(origin), coefficients }
     }
 
     /// g(v), dimensionless, of the mismatch `v` = σ/ε. `v` must be finite, within ±1e30.
@@ -112,11 +107,7 @@ fn implicit_tanh(v: f32, beta: f32) -> f32 {
 /// overshoot 1 otherwise.
 fn parabola(at_0: f32, at_half: f32, at_1: f32) -> [f32; 3] {
     let middle = at_half.clamp(0.75 * at_0 + 0.25 * at_1, 0.25 * at_0 + 0.75 * at_1);
-    [
-        at_0,
-        4.0 * middle - 3.0 * at_0 - at_1,
-        2.0 * (at_0 + at_1) - 4.0 * middle,
-    ]
+    [at_0, 4.0 * middle - 3.0 * at_0 - at_1, 2.0 * (at_0 + at_1) - 4.0 * middle]
 }
 
 /// Coefficients in x of the parabola that is exactly 0 at x = `zero` and meets `node` at `middle` and `end`.
@@ -158,9 +149,8 @@ mod tests {
             .fold(0.0, f64::max)
     }
 
-    const BETAS: [f32; 14] = [
-        0.0, 0.015, 0.3, 1.3, 7.55, 15.1, 30.0, 60.0, 100.0, 151.0, 300.0, 755.0, 1510.0, 2000.0,
-    ];
+    const BETAS: [f32; 14] =
+        [0.0, 0.015, 0.3, 1.3, 7.55, 15.1, 30.0, 60.0, 100.0, 151.0, 300.0, 755.0, 1510.0, 2000.0];
 
     #[test]
     fn error_is_within_the_stated_bounds() {
@@ -185,7 +175,10 @@ mod tests {
             for step in 0..100_000 {
                 let v = (beta + 10.0) * step as f32 / 100_000.0;
                 let g = injection.value(v);
-                assert_eq!(injection.value(-v).to_bits(), (-g).to_bits() & if v == 0.0 { 0 } else { u32::MAX });
+                assert_eq!(
+                    injection.value(-v).to_bits(),
+                    (-g).to_bits() & if v == 0.0 { 0 } else { u32::MAX }
+                );
                 assert!((0.0..=1.0 + f32::EPSILON).contains(&g), "beta {beta}: g({v}) = {g}");
             }
             for v in [1e6, 1e30] {
@@ -204,7 +197,10 @@ mod tests {
                 let v = (beta + 10.0) * step as f32 / 100_000.0;
                 let g = injection.value(v);
                 // Two units in the last place for the rounding of two sums near 1.
-                assert!(g >= before - 2.0 * f32::EPSILON, "beta {beta}: falls from {before} to {g} at {v}");
+                assert!(
+                    g >= before - 2.0 * f32::EPSILON,
+                    "beta {beta}: falls from {before} to {g} at {v}"
+                );
                 before = g;
             }
         }

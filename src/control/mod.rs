@@ -41,13 +41,8 @@ pub struct Gains {
 
 impl Gains {
     /// The gains of the paper's simulation.
-    pub const PAPER: Self = Self {
-        c: 200.0,
-        k1: 1300.0,
-        epsilon1: 0.05,
-        k2: 755_000.0,
-        epsilon2: 5.0,
-    };
+    pub const PAPER: Self =
+        Self { c: 200.0, k1: 1300.0, epsilon1: 0.05, k2: 755_000.0, epsilon2: 5.0 };
 
     fn check(&self) -> Result<(), ConfigError> {
         positive("gains.c", self.c)?;
@@ -229,8 +224,7 @@ impl<S: Scalar> Controller<S> {
             None => S::ZERO,
         };
         let voltage =
-            self.law
-                .voltage((speed, current), (z1, z2), reference, (disturbance, lumped));
+            self.law.voltage((speed, current), (z1, z2), reference, (disturbance, lumped));
         Signals { z1, z2, disturbance, voltage }
     }
 

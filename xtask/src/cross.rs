@@ -1,0 +1,155 @@
+//! Building for Cortex-M, with the standard library from rustup or from Debian.
+
+use crate::setup::install;
+use crate::shell::{Shell, cargo, program, root};
+use anyhow::{Context, Result, bail};
+use clap::ValueEnum;
+use std::fs;
+use std::hash::{DefaultHasher, Hash, Hasher};
+use std::path::{Path, PathBuf};
+
+/// Cortex-M4F and M7.
+const TARGET: &str = "thumbv7em-none-eabihf";
+
+const DEBIAN_PACKAGES: [&str; 3] = ["rustc-web", "cargo-web", "rust-web-src"];
+const DEBIAN_RUSTC: &str = "/usr/bin/rustc";
+const DEBIAN_CARGO: &str = "/usr/bin/cargo";
+
+/// Where the standard library for Cortex-M comes from.
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum ToolchainChoice {
+    /// From rustup, or from Debian where rustup cannot.
+    Auto,
+    /// `rustup target add`.
+    Rustup,
+    /// Debian's packaged Rust, its core built from the packaged source.
+    Debian,
+}
+
+/// A toolchain that builds for Cortex-M.
+pub enum Cross {
+    Rustup,
+    /// With a sysroot that holds core and alloc for the target.
+    Debian {
+        sysroot: PathBuf,
+    },
+}
+
+impl Cross {
+    /// Makes the toolchain ready.
+    pub fn set_up(choice: ToolchainChoice) -> Result<Self> {
+        match choice {
+            ToolchainChoice::Rustup => rustup(),
+            ToolchainChoice::Debian => debian(),
+            ToolchainChoice::Auto => rustup().or_else(|rustup_error| {
+                println!("Set-up: {rustup_error:#}; trying Debian's packages.");
+                debian().map_err(|debian_error| {
+                    debian_error.context(format!(
+                        "no standard library for {TARGET}. rustup: {rustup_error:#}. Debian"
+                    ))
+                })
+            }),
+        }
+    }
+
+    /// Builds for the target, given what `cargo build` is to build.
+    pub fn build(&self, arguments: &[&str]) -> Result<()> {
+        self.cargo().args(&["build", "--target", TARGET]).args(arguments).run()
+    }
+
+    fn cargo(&self) -> Shell {
+        match self {
+            Self::Rustup => cargo(&[]),
+            Self::Debian { sysroot } => {
+                let flags = format!("--sysroot\u{1f}{}", sysroot.display());
+                // A folder of its own: cargo rebuilds everything when the compiler changes.
+                debian_cargo(&flags).env("CARGO_TARGET_DIR", root().join("target/debian"))
+            }
+        }
+    }
+}
+
+fn rustup() -> Result<Cross> {
+    let installed = || {
+        let targets = program("rustup").args(&["target", "list", "--installed"]).output()?;
+        Some(targets.lines().any(|target| target == TARGET))
+    };
+    match installed() {
+        Some(true) => println!("Set-up: {TARGET} is there, by rustup."),
+        Some(false) => {
+            println!("Set-up: adding {TARGET} by rustup.");
+            program("rustup").args(&["target", "add", TARGET]).run()?;
+        }
+        None => bail!("rustup cannot be run: install it from rustup.rs"),
+    }
+    Ok(Cross::Rustup)
+}
+
+fn debian() -> Result<Cross> {
+    let status = |package: &str| {
+        program("dpkg-query")
+            .args(&["--show", "--showformat=${db:Status-Status}", package])
+            .output()
+    };
+    if DEBIAN_PACKAGES.iter().all(|package| status(package).as_deref() == Some("installed")) {
+        println!("Set-up: Debian's Rust is there.");
+    } else {
+        install("Debian's Rust", &DEBIAN_PACKAGES)?;
+    }
+    let version = program(DEBIAN_RUSTC)
+        .args(&["--version", "--verbose"])
+        .output()
+        .with_context(|| format!("{DEBIAN_RUSTC} does not run"))?;
+    let mut hasher = DefaultHasher::new();
+    version.hash(&mut hasher);
+    let sysroot = root().join(format!("target/sysroot-{:016x}", hasher.finish()));
+    let libraries = sysroot.join("lib/rustlib").join(TARGET).join("lib");
+    if libraries.is_dir() {
+        println!("Set-up: core for {TARGET} is built.");
+    } else {
+        println!("Set-up: building core for {TARGET} from Debian's source, once.");
+        build_sysroot(&sysroot, &libraries)?;
+    }
+    Ok(Cross::Debian { sysroot })
+}
+
+/// Builds core and alloc as a dependency of an empty crate, and lays them out as a sysroot.
+fn build_sysroot(sysroot: &Path, libraries: &Path) -> Result<()> {
+    let seed = sysroot.join("seed");
+    fs::create_dir_all(seed.join("src"))?;
+    fs::write(
+        seed.join("Cargo.toml"),
+        "[package]\nname = \"seed\"\nedition = \"2024\"\n\n[workspace]\n",
+    )?;
+    fs::write(seed.join("src/lib.rs"), "#![no_std]\n")?;
+    debian_cargo("-Cembed-bitcode=yes\u{1f}-Zforce-unstable-if-unmarked")
+        .args(&["build", "--release", "-Zbuild-std=core,alloc", "--target", TARGET])
+        .env("RUSTC_BOOTSTRAP", "1")
+        .env("CARGO_TARGET_DIR", seed.join("target"))
+        .current_dir(&seed)
+        .run()?;
+    // Filled aside and moved in whole: a folder that is there is complete.
+    let aside = libraries.with_extension("partial");
+    fs::create_dir_all(&aside)?;
+    let built = seed.join("target").join(TARGET).join("release/deps");
+    for entry in fs::read_dir(&built)? {
+        let file = entry?.path();
+        let name = file.file_name().unwrap_or_default();
+        let is_library = file.extension().is_some_and(|extension| extension == "rlib");
+        if is_library && !name.to_string_lossy().starts_with("libseed-") {
+            fs::copy(&file, aside.join(name))?;
+        }
+    }
+    fs::rename(&aside, libraries)?;
+    fs::remove_dir_all(&seed)?;
+    Ok(())
+}
+
+/// Debian's cargo and rustc, with flags for the target and none of the host's.
+fn debian_cargo(encoded_flags: &str) -> Shell {
+    program(DEBIAN_CARGO)
+        .env("RUSTC", DEBIAN_RUSTC)
+        .env("CARGO_ENCODED_RUSTFLAGS", encoded_flags)
+        .env_remove("RUSTFLAGS")
+        .env_remove("CARGO")
+}

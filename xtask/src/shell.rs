@@ -1,0 +1,79 @@
+//! Commands that are shown, run in the repository's root, and must succeed.
+
+use anyhow::{Context, Result, bail};
+use std::ffi::OsStr;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+/// The repository's root.
+pub fn root() -> &'static Path {
+    let here = Path::new(env!("CARGO_MANIFEST_DIR"));
+    here.parent().unwrap_or(here)
+}
+
+/// A command to run.
+pub struct Shell(Command);
+
+/// Any program.
+pub fn program(name: impl AsRef<OsStr>) -> Shell {
+    let mut command = Command::new(name);
+    command.current_dir(root());
+    Shell(command)
+}
+
+/// The cargo that runs this.
+pub fn cargo(arguments: &[&str]) -> Shell {
+    program(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into())).args(arguments)
+}
+
+impl Shell {
+    pub fn args<A: AsRef<OsStr>>(mut self, arguments: &[A]) -> Self {
+        self.0.args(arguments);
+        self
+    }
+
+    pub fn env(mut self, name: &str, value: impl AsRef<OsStr>) -> Self {
+        self.0.env(name, value);
+        self
+    }
+
+    pub fn env_remove(mut self, name: &str) -> Self {
+        self.0.env_remove(name);
+        self
+    }
+
+    pub fn current_dir(mut self, folder: &Path) -> Self {
+        self.0.current_dir(folder);
+        self
+    }
+
+    fn text(&self) -> String {
+        let program = Path::new(self.0.get_program());
+        let name = program.file_name().unwrap_or(program.as_os_str());
+        let words = std::iter::once(name).chain(self.0.get_args());
+        words.map(OsStr::to_string_lossy).collect::<Vec<_>>().join(" ")
+    }
+
+    /// Shows the command, runs it, and fails if it does.
+    pub fn run(mut self) -> Result<()> {
+        let text = self.text();
+        eprintln!("==> {text}");
+        let status = self.0.status().with_context(|| format!("cannot run `{text}`"))?;
+        if !status.success() {
+            bail!("`{text}` failed: {status}");
+        }
+        Ok(())
+    }
+
+    /// What the command prints, if it can be run and succeeds.
+    pub fn output(mut self) -> Option<String> {
+        let output = self.0.stderr(Stdio::null()).output().ok()?;
+        output.status.success().then(|| String::from_utf8_lossy(&output.stdout).into_owned())
+    }
+}
+
+/// Where a program is on the PATH.
+pub fn find(name: &str) -> Option<PathBuf> {
+    let path = std::env::var_os("PATH")?;
+    std::env::split_paths(&path).map(|folder| folder.join(name)).find(|file| file.is_file())
+}
