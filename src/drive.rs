@@ -31,13 +31,13 @@ pub struct DriveConfig {
 pub struct Limits {
     /// Largest magnitude of the duty, from above 0 to 1. A bridge with bootstrapped high sides needs less than 1.
     pub duty: f32,
-    /// Largest plausible speed, and largest speed that can be commanded [rad/s]. Positive.
+    /// Largest plausible speed, and largest speed that can be commanded (rad/s). Positive.
     pub speed: f32,
-    /// Over-current trip [A]. Positive.
+    /// Over-current trip (A). Positive.
     pub current: f32,
-    /// Under-voltage trip of the bus [V]. Positive.
+    /// Under-voltage trip of the bus (V). Positive.
     pub bus_min: f32,
-    /// Over-voltage trip of the bus [V]. Above `bus_min`.
+    /// Over-voltage trip of the bus (V). Above `bus_min`.
     pub bus_max: f32,
 }
 
@@ -111,7 +111,7 @@ pub struct Telemetry<S> {
     pub reference: Reference<S>,
     /// What the law saw and decided.
     pub signals: Signals<S>,
-    /// The armature voltage that was asked of the bridge, after the duty limit [V].
+    /// The armature voltage that was asked of the bridge, after the duty limit (V).
     pub voltage: S,
 }
 
@@ -179,7 +179,7 @@ impl<S: Scalar> Drive<S> {
         }
     }
 
-    /// Commands a speed [rad/s].
+    /// Commands a speed (rad/s).
     pub fn set_speed(&mut self, speed: S) -> Result<(), Refusal> {
         if !speed.is_finite() || speed.abs() > self.speed_limit {
             return Err(Refusal::SpeedOutOfRange);
@@ -241,7 +241,7 @@ impl<S: Scalar> Drive<S> {
         self.telemetry.as_ref()
     }
 
-    /// The estimated load torque T̂_l = −J·d̂ [N·m], positive when it opposes positive motion.
+    /// The estimated load torque T̂_l = −J·d̂ (N·m), positive when it opposes positive motion.
     pub fn load_torque(&self) -> S {
         match &self.telemetry {
             Some(telemetry) => S::combine([(self.minus_inertia, telemetry.signals.disturbance)]),

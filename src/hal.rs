@@ -5,11 +5,11 @@ use crate::math::Scalar;
 /// What the board measured, all at one instant of the PWM period.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample<S> {
-    /// Shaft speed ω [rad/s], positive in the direction in which a positive duty accelerates.
+    /// Shaft speed ω (rad/s), positive in the direction in which a positive duty accelerates.
     pub speed: S,
-    /// Armature current i [A], positive when it accelerates in the positive direction.
+    /// Armature current i (A), positive when it accelerates in the positive direction.
     pub current: S,
-    /// Bus voltage [V].
+    /// Bus voltage (V).
     pub bus_voltage: S,
 }
 

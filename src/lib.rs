@@ -16,6 +16,54 @@
 //! - [`drive`]: the composer: arming, faults, and [`Drive::step`](drive::Drive::step).
 //!
 //! All quantities are in SI units.
+//!
+//! # A drive on a board
+//!
+//! ```
+//! use quasidrive::control::{ControlConfig, Form, Gains, Law, Start, Timing};
+//! use quasidrive::drive::{Drive, DriveConfig, Limits};
+//! use quasidrive::hal::{Board, BridgeCommand, Sample};
+//! use quasidrive::motor::MotorParameters;
+//! use quasidrive::trajectory::Shape;
+//!
+//! /// Stands for a board's ADC, encoder and PWM timer.
+//! struct Bench {
+//!     duty: f32,
+//! }
+//!
+//! impl Board<f32> for Bench {
+//!     fn sample(&mut self) -> Sample<f32> {
+//!         Sample { speed: 0.0, current: 0.0, bus_voltage: 24.0 }
+//!     }
+//!
+//!     fn apply(&mut self, command: BridgeCommand<f32>) {
+//!         self.duty = match command {
+//!             BridgeCommand::Off => 0.0,
+//!             BridgeCommand::Duty(duty) => duty,
+//!         };
+//!     }
+//! }
+//!
+//! let mut board = Bench { duty: 0.0 };
+//! let mut drive = Drive::<f32>::new(&DriveConfig {
+//!     motor: MotorParameters::PAPER,
+//!     control: ControlConfig {
+//!         law: Law::Qsmdo,
+//!         gains: Gains::PAPER,
+//!         form: Form::Implicit,
+//!         start: Start::Matched,
+//!     },
+//!     timing: Timing { rate: 20_000.0, delay: true },
+//!     limits: Limits { duty: 0.92, speed: 400.0, current: 40.0, bus_min: 8.0, bus_max: 28.0 },
+//!     shape: Shape::Step,
+//! })?;
+//! drive.set_speed(104.72).expect("within the limits");
+//! drive.arm().expect("no fault");
+//! drive.run_period(&mut board); // once a PWM period, in its interrupt
+//! // Standstill: (La/a2)·(1 + c²)·ω_d = 0.593 V of 24 V.
+//! assert!((board.duty - 0.0247).abs() < 1e-4);
+//! # Ok::<(), quasidrive::config::ConfigError>(())
+//! ```
 #![no_std]
 
 pub mod config;

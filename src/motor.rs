@@ -7,23 +7,23 @@
 //! i̇ = −a3·ω − a4·i + u/La          a3 = Kb/La  a4 = Ra/La
 //! ```
 //!
-//! with the speed ω [rad/s], the armature current i [A], the armature voltage u [V], and the disturbance
-//! d = −T_l/J [rad/s²] of a load torque T_l [N·m] that opposes positive motion.
+//! with the speed ω (rad/s), the armature current i (A), the armature voltage u (V), and the disturbance
+//! d = −T_l/J (rad/s²) of a load torque T_l (N·m) that opposes positive motion.
 
 use crate::config::{ConfigError, non_negative, positive};
 
 /// Parameters of a brushed, permanent-magnet or separately excited DC motor with what turns with it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotorParameters {
-    /// Moment of inertia J of rotor and load [kg·m²]. Positive.
+    /// Moment of inertia J of rotor and load (kg·m²). Positive.
     pub inertia: f32,
-    /// Armature inductance La [H]. Positive.
+    /// Armature inductance La (H). Positive.
     pub inductance: f32,
-    /// Armature resistance Ra, with leads and bridge [Ω]. Positive.
+    /// Armature resistance Ra, with leads and bridge (Ω). Positive.
     pub resistance: f32,
-    /// Viscous friction b [N·m·s/rad]. Zero or positive.
+    /// Viscous friction b (N·m·s/rad). Zero or positive.
     pub viscous_friction: f32,
-    /// Back-EMF constant Kb [V·s/rad], which is the torque constant [N·m/A] too. Positive.
+    /// Back-EMF constant Kb (V·s/rad), which is the torque constant (N·m/A) too. Positive.
     pub back_emf_constant: f32,
 }
 
@@ -58,17 +58,17 @@ impl MotorParameters {
 /// Coefficients of the motor's model, checked: all finite, all but `a1` positive.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Coefficients {
-    /// b/J [1/s].
+    /// b/J (1/s).
     pub a1: f32,
-    /// Kb/J [rad/s² per A].
+    /// Kb/J (rad/s² per A).
     pub a2: f32,
-    /// Kb/La [A/s per rad/s].
+    /// Kb/La (A/s per rad/s).
     pub a3: f32,
-    /// Ra/La [1/s].
+    /// Ra/La (1/s).
     pub a4: f32,
-    /// La [H].
+    /// La (H).
     pub inductance: f32,
-    /// J [kg·m²].
+    /// J (kg·m²).
     pub inertia: f32,
 }
 

@@ -6,16 +6,16 @@ use crate::math::{Scalar, exp_m1};
 /// The reference at one sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reference<S> {
-    /// Wanted speed ω_d [rad/s].
+    /// Wanted speed ω_d (rad/s).
     pub speed: S,
-    /// Its first derivative ω̇_d [rad/s²].
+    /// Its first derivative ω̇_d (rad/s²).
     pub acceleration: S,
-    /// Its second derivative ω̈_d [rad/s³].
+    /// Its second derivative ω̈_d (rad/s³).
     pub jerk: S,
 }
 
 impl<S: Scalar> Reference<S> {
-    /// A constant speed [rad/s].
+    /// A constant speed (rad/s).
     pub fn constant(speed: S) -> Self {
         Self { speed, acceleration: S::ZERO, jerk: S::ZERO }
     }
@@ -29,7 +29,7 @@ pub enum Shape {
     Step,
     /// The command through a critically damped second-order filter, ω_d'' = w²·(command − ω_d) − 2w·ω_d'.
     SecondOrder {
-        /// Natural frequency w [rad/s]. Positive, at most half the sampling rate.
+        /// Natural frequency w (rad/s). Positive, at most half the sampling rate.
         bandwidth: f32,
     },
 }
@@ -79,13 +79,13 @@ impl<S: Scalar> Shaper<S> {
         Ok(Self { filter, target: S::ZERO, rest: Reference::constant(S::ZERO) })
     }
 
-    /// Sets the commanded speed [rad/s].
+    /// Sets the commanded speed (rad/s).
     pub fn set_target(&mut self, target: S) {
         self.rest.speed = self.rest.speed + (self.target - target);
         self.target = target;
     }
 
-    /// Starts anew from a speed [rad/s], at rest in its derivatives.
+    /// Starts anew from a speed (rad/s), at rest in its derivatives.
     pub fn reset(&mut self, speed: S) {
         self.rest = Reference::constant(speed - self.target);
     }

@@ -8,7 +8,7 @@ use host_sim::metrics::Figures;
 use host_sim::scenario::{Controller, FormName, Scenario};
 use host_sim::simulation::simulate;
 
-/// RMS change of u between samples that the load alone asks for at 20 kHz [V]: Ra/Kb times the load's rate of change,
+/// RMS change of u between samples that the load alone asks for at 20 kHz (V): Ra/Kb times the load's rate of change,
 /// (0.03·0.6π)² and (0.02·2π)² halved and summed, gives 1.15 V/s rms.
 const QUIET: f64 = 5.77e-5;
 

@@ -24,9 +24,9 @@ pub struct SimulatedBoard<S> {
     /// The smooth part of the load, at half integration steps.
     waves: Waves,
     period: u64,
-    /// Time of the next sample [s].
+    /// Time of the next sample (s).
     time: f64,
-    /// Bus voltage at that time [V].
+    /// Bus voltage at that time (V).
     bus_now: f64,
     acting: Armature,
     scalar: PhantomData<S>,
@@ -57,7 +57,7 @@ impl<S: SimulatedScalar> SimulatedBoard<S> {
         }
     }
 
-    /// Time of the next sample [s].
+    /// Time of the next sample (s).
     pub fn time(&self) -> f64 {
         self.time
     }

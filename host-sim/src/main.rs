@@ -66,7 +66,7 @@ struct Overrides {
     /// Controller.
     #[arg(long)]
     controller: Option<Controller>,
-    /// Sampling rate [Hz].
+    /// Sampling rate (Hz).
     #[arg(long, value_name = "HZ")]
     rate: Option<f64>,
     /// How the estimators are stepped.

@@ -3,7 +3,7 @@
 use crate::simulation::Frame;
 use serde::Serialize;
 
-/// Time after each jump of the commanded speed, the start included, that does not count as steady [s].
+/// Time after each jump of the commanded speed, the start included, that does not count as steady (s).
 pub const SETTLING_TIME: f64 = 1.5;
 
 /// Figures of a whole run, and of its steady parts.
@@ -21,27 +21,27 @@ pub struct Metrics {
 pub struct Figures {
     /// Periods that counted.
     pub periods: u64,
-    /// RMS of z1 = ω − ω_d [rad/s].
+    /// RMS of z1 = ω − ω_d (rad/s).
     pub rms_z1: Option<f64>,
-    /// RMS of z2 = a2·i − x2* [rad/s²].
+    /// RMS of z2 = a2·i − x2* (rad/s²).
     pub rms_z2: Option<f64>,
-    /// RMS of the commanded armature voltage u [V].
+    /// RMS of the commanded armature voltage u (V).
     pub rms_voltage: Option<f64>,
-    /// RMS of the change of u from one period to the next [V].
+    /// RMS of the change of u from one period to the next (V).
     pub rms_voltage_step: Option<f64>,
-    /// RMS of T_l − T̂_l [N·m]; in plain backstepping, which estimates none, T̂_l is zero.
+    /// RMS of T_l − T̂_l (N·m); in plain backstepping, which estimates none, T̂_l is zero.
     pub rms_load_torque_error: Option<f64>,
-    /// Largest |z1| [rad/s].
+    /// Largest |z1| (rad/s).
     pub peak_z1: Option<f64>,
-    /// Largest |ω| [rad/s].
+    /// Largest |ω| (rad/s).
     pub peak_speed: Option<f64>,
-    /// Largest |i| at a sampling instant [A].
+    /// Largest |i| at a sampling instant (A).
     pub peak_current: Option<f64>,
-    /// Largest |u| [V].
+    /// Largest |u| (V).
     pub peak_voltage: Option<f64>,
-    /// Largest |T_l − T̂_l| [N·m].
+    /// Largest |T_l − T̂_l| (N·m).
     pub peak_load_torque_error: Option<f64>,
-    /// The first u [V].
+    /// The first u (V).
     pub first_voltage: Option<f64>,
 }
 
@@ -71,7 +71,7 @@ struct Sums {
 }
 
 impl Meter {
-    /// Counts a period; `since_jump` is the time since the last jump of the command [s].
+    /// Counts a period; `since_jump` is the time since the last jump of the command (s).
     pub fn add(&mut self, frame: &Frame, since_jump: f64) {
         let step = self.last_voltage.map(|last| frame.voltage - last);
         self.whole.add(frame, step);

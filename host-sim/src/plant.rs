@@ -11,7 +11,7 @@
 
 use serde::Deserialize;
 
-/// Speed below which Coulomb friction fades out [rad/s].
+/// Speed below which Coulomb friction fades out (rad/s).
 const CREEP_SPEED: f64 = 0.1;
 
 /// Largest share of the electrical time constant that one integration step may span. RK4 errs by its fifth power / 120:
@@ -22,18 +22,18 @@ const STEP_PER_TIME_CONSTANT: f64 = 0.35;
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq)]
 #[serde(deny_unknown_fields)]
 pub struct Motor {
-    /// Moment of inertia J [kg·m²].
+    /// Moment of inertia J (kg·m²).
     pub inertia: f64,
-    /// Armature inductance La [H].
+    /// Armature inductance La (H).
     pub inductance: f64,
-    /// Armature resistance Ra [Ω].
+    /// Armature resistance Ra (Ω).
     pub resistance: f64,
-    /// Back-EMF and torque constant Kb [V·s/rad, N·m/A].
+    /// Back-EMF and torque constant Kb (V·s/rad, N·m/A).
     pub back_emf_constant: f64,
-    /// Viscous friction b [N·m·s/rad].
+    /// Viscous friction b (N·m·s/rad).
     #[serde(default)]
     pub viscous_friction: f64,
-    /// Coulomb friction T_c [N·m]. The controllers know nothing of it: to them it is load torque.
+    /// Coulomb friction T_c (N·m). The controllers know nothing of it: to them it is load torque.
     #[serde(default)]
     pub coulomb_friction: f64,
 }
@@ -41,18 +41,18 @@ pub struct Motor {
 /// The motor's state.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct State {
-    /// Shaft speed ω [rad/s].
+    /// Shaft speed ω (rad/s).
     pub speed: f64,
-    /// Armature current i [A].
+    /// Armature current i (A).
     pub current: f64,
 }
 
 /// What drives the armature.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Armature {
-    /// A voltage [V].
+    /// A voltage (V).
     Driven(f64),
-    /// Open switches: the current freewheels through the diodes against the bus voltage [V] until it has died down.
+    /// Open switches: the current freewheels through the diodes against the bus voltage (V) until it has died down.
     Open(f64),
 }
 
@@ -70,7 +70,7 @@ impl Plant {
         Self { motor, per_inertia: 1.0 / motor.inertia, per_inductance: 1.0 / motor.inductance }
     }
 
-    /// Coulomb friction torque at a speed [N·m].
+    /// Coulomb friction torque at a speed (N·m).
     pub fn coulomb_torque(&self, speed: f64) -> f64 {
         if self.motor.coulomb_friction == 0.0 {
             return 0.0;
@@ -89,13 +89,13 @@ impl Plant {
         State { speed: torque * self.per_inertia, current: inductive_voltage * self.per_inductance }
     }
 
-    /// Integration steps that a time of `duration` [s] needs.
+    /// Integration steps that a time of `duration` (s) needs.
     pub fn steps_for(&self, duration: f64) -> usize {
         let time_constant = self.motor.inductance / self.motor.resistance;
         (duration / (STEP_PER_TIME_CONSTANT * time_constant)).ceil().max(1.0) as usize
     }
 
-    /// One classical Runge-Kutta step of `h` seconds, with the load torque [N·m] at its start, middle and end.
+    /// One classical Runge-Kutta step of `h` seconds, with the load torque (N·m) at its start, middle and end.
     pub fn step(&self, state: State, armature: Armature, load: [f64; 3], h: f64) -> State {
         match armature {
             Armature::Driven(voltage) => self.rk4(state, voltage, load, h),

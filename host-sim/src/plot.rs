@@ -22,7 +22,7 @@ pub struct Plot {
     pub title: String,
     /// Label of the y axis, with its unit.
     pub y_label: String,
-    /// Times that are shown [s].
+    /// Times that are shown (s).
     pub span: Range<f64>,
     /// Lines, the lowest first.
     pub lines: Vec<Line>,

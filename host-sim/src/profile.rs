@@ -7,7 +7,7 @@ use std::f64::consts::TAU;
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq)]
 #[serde(deny_unknown_fields)]
 pub struct Step {
-    /// Start of the value [s].
+    /// Start of the value (s).
     pub time: f64,
     /// The value, in the unit of its quantity.
     pub value: f64,
@@ -24,9 +24,9 @@ pub fn value_at(steps: &[Step], before: f64, time: f64) -> f64 {
 pub struct Sine {
     /// Amplitude, in the unit of its quantity.
     pub amplitude: f64,
-    /// Frequency [Hz].
+    /// Frequency (Hz).
     pub frequency: f64,
-    /// Phase at t = 0 [rad].
+    /// Phase at t = 0 (rad).
     #[serde(default)]
     pub phase: f64,
 }
@@ -37,11 +37,11 @@ impl Sine {
     }
 }
 
-/// A load torque [N·m], positive when it opposes positive motion: steps plus sinusoids.
+/// A load torque (N·m), positive when it opposes positive motion: steps plus sinusoids.
 #[derive(Clone, Debug, Default, Deserialize, PartialEq)]
 #[serde(deny_unknown_fields)]
 pub struct Load {
-    /// Torque ahead of the first step [N·m].
+    /// Torque ahead of the first step (N·m).
     #[serde(default)]
     pub constant: f64,
     /// Torques that replace it from their times on.
@@ -53,13 +53,13 @@ pub struct Load {
 }
 
 impl Load {
-    /// The torque at a time [N·m].
+    /// The torque at a time (N·m).
     pub fn at(&self, time: f64) -> f64 {
         let waves = self.sines.iter().map(|sine| sine.amplitude * sine.angle(time).sin());
         self.steps_at(time) + waves.sum::<f64>()
     }
 
-    /// The torque's rate of change between its steps [N·m/s].
+    /// The torque's rate of change between its steps (N·m/s).
     pub fn rate_at(&self, time: f64) -> f64 {
         let rates = self
             .sines
@@ -68,7 +68,7 @@ impl Load {
         rates.sum()
     }
 
-    /// The part that is constant between jumps [N·m].
+    /// The part that is constant between jumps (N·m).
     pub fn steps_at(&self, time: f64) -> f64 {
         value_at(&self.steps, self.constant, time)
     }

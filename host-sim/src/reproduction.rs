@@ -11,10 +11,10 @@ use quasidrive::control::bounds;
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Rate of the near-continuous runs [Hz].
+/// Rate of the near-continuous runs (Hz).
 pub const NEAR_CONTINUOUS_RATE: f64 = 1e6;
 
-/// Time after a jump of the command from which the ultimate bounds are held against a run [s]: some 30 ms to reach the
+/// Time after a jump of the command from which the ultimate bounds are held against a run (s): some 30 ms to reach the
 /// sliding surface, and 30 time constants 1/c of the errors from there.
 pub const SETTLED: f64 = 0.2;
 
@@ -39,7 +39,7 @@ pub enum Window {
 impl Window {
     const ALL: [Self; 5] = [Self::Cycle, Self::Start, Self::Jump, Self::Steady, Self::Periods];
 
-    /// Its times [s].
+    /// Its times (s).
     pub fn span(self) -> Range<f64> {
         match self {
             Self::Cycle => 0.0..10.0,
@@ -56,13 +56,13 @@ impl Window {
 pub struct Run {
     /// The law.
     pub controller: Controller,
-    /// Sampling rate [Hz].
+    /// Sampling rate (Hz).
     pub rate: f64,
     /// Its figures.
     pub metrics: Metrics,
-    /// Overshoot over the first commanded speed, before the second [% of it].
+    /// Overshoot over the first commanded speed, before the second (% of it).
     pub overshoot: f64,
-    /// Largest |d̃| outside the 0.2 s after each jump of the reference [rad/s²].
+    /// Largest |d̃| outside the 0.2 s after each jump of the reference (rad/s²).
     pub peak_disturbance_error: f64,
     /// Largest ‖(z1, z2)‖ outside the same.
     pub peak_error_norm: f64,
@@ -80,7 +80,7 @@ impl Run {
 /// Ultimate bounds beside what a run reached.
 #[derive(Clone, Copy, Debug)]
 pub struct Bounds {
-    /// The paper's bound on |d̃| [rad/s²] (Eqs. 32, 56).
+    /// The paper's bound on |d̃| (rad/s²) (Eqs. 32, 56).
     pub paper: f64,
     /// The corrected one, pointwise in time, with what sampling adds.
     pub corrected: f64,
@@ -99,11 +99,11 @@ pub struct Bounds {
 /// How far BS-QSMDO and BS-QISMC are apart with equal starts and a smooth reference.
 #[derive(Clone, Copy, Debug)]
 pub struct Coincidence {
-    /// Largest difference of the two voltages [V], in double precision.
+    /// Largest difference of the two voltages (V), in double precision.
     pub voltage: f64,
-    /// Largest difference of the two speeds [rad/s], in double precision.
+    /// Largest difference of the two speeds (rad/s), in double precision.
     pub speed: f64,
-    /// Largest voltage of either [V].
+    /// Largest voltage of either (V).
     pub largest_voltage: f64,
 }
 
@@ -279,7 +279,7 @@ struct Disturbance<'a> {
 }
 
 impl Disturbance<'_> {
-    /// d [rad/s²] and ḋ [rad/s³].
+    /// d (rad/s²) and ḋ (rad/s³).
     fn at(&self, time: f64) -> (f32, f32) {
         let per_inertia = -1.0 / self.inertia;
         ((self.load.at(time) * per_inertia) as f32, (self.load.rate_at(time) * per_inertia) as f32)

@@ -21,7 +21,7 @@ use toml::de::{DeTable, DeValue};
 pub struct Scenario {
     /// A line for people.
     pub title: String,
-    /// Simulated time [s].
+    /// Simulated time (s).
     pub duration: f64,
     /// The motor; the controller is built for the same one, less Coulomb friction.
     pub motor: Motor,
@@ -53,7 +53,7 @@ pub struct Scenario {
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct TimingTable {
-    /// Sampling rate [Hz].
+    /// Sampling rate (Hz).
     pub rate: f64,
     /// Whether voltages take effect one period late.
     pub delay: bool,
@@ -69,7 +69,7 @@ impl Default for TimingTable {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Bus {
-    /// Voltage ahead of the first step [V].
+    /// Voltage ahead of the first step (V).
     pub voltage: f64,
     /// Voltages that replace it from their times on.
     pub steps: Vec<Step>,
@@ -185,9 +185,9 @@ impl Default for LimitsTable {
 #[derive(Clone, Copy, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Initial {
-    /// Shaft speed [rad/s].
+    /// Shaft speed (rad/s).
     pub speed: f64,
-    /// Armature current [A].
+    /// Armature current (A).
     pub current: f64,
 }
 
@@ -202,12 +202,12 @@ impl Initial {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ReferenceTable {
-    /// Commanded speeds [rad/s]; zero ahead of the first.
+    /// Commanded speeds (rad/s); zero ahead of the first.
     pub steps: Vec<Step>,
     /// How they are shaped.
     #[serde(default)]
     pub shape: ShapeName,
-    /// Natural frequency of the second-order shape [rad/s].
+    /// Natural frequency of the second-order shape (rad/s).
     pub bandwidth: Option<f64>,
 }
 

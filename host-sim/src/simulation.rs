@@ -12,27 +12,27 @@ use serde::Serialize;
 /// One period of a run, at its sampling instant, in SI units.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Frame {
-    /// Time [s].
+    /// Time (s).
     pub time: f64,
-    /// Reference speed ω_d [rad/s].
+    /// Reference speed ω_d (rad/s).
     pub reference: f64,
-    /// Shaft speed ω [rad/s].
+    /// Shaft speed ω (rad/s).
     pub speed: f64,
-    /// Armature current i [A].
+    /// Armature current i (A).
     pub current: f64,
-    /// Armature voltage u that was commanded of the bridge [V].
+    /// Armature voltage u that was commanded of the bridge (V).
     pub voltage: f64,
-    /// z1 = ω − ω_d [rad/s].
+    /// z1 = ω − ω_d (rad/s).
     pub z1: f64,
-    /// z2 [rad/s²].
+    /// z2 (rad/s²).
     pub z2: f64,
-    /// ω − x̂1 (BS-QISMC: s1) [rad/s].
+    /// ω − x̂1 (BS-QISMC: s1) (rad/s).
     pub sliding1: f64,
-    /// z2 − ẑ2 (BS-QISMC: s2) [rad/s²].
+    /// z2 − ẑ2 (BS-QISMC: s2) (rad/s²).
     pub sliding2: f64,
-    /// Load torque T_l, with Coulomb friction [N·m].
+    /// Load torque T_l, with Coulomb friction (N·m).
     pub load_torque: f64,
-    /// Its estimate T̂_l [N·m].
+    /// Its estimate T̂_l (N·m).
     pub load_torque_estimate: f64,
 }
 
@@ -41,7 +41,7 @@ pub struct Frame {
 pub struct Outcome {
     /// Figures of merit, up to a fault.
     pub metrics: Metrics,
-    /// When [s] and why the drive stopped, if it did. The run ends there.
+    /// When (s) and why the drive stopped, if it did. The run ends there.
     pub fault: Option<(f64, Fault)>,
 }
 

@@ -28,7 +28,7 @@ pub(super) struct Backstepping<S: Scalar> {
     voltage: VoltageGains<S>,
 }
 
-/// Armature voltage [V] per signal.
+/// Armature voltage (V) per signal.
 #[derive(Clone, Debug)]
 struct VoltageGains<S: Scalar> {
     speed: S::Gain,
@@ -81,19 +81,19 @@ impl<S: Scalar> Backstepping<S> {
         })
     }
 
-    /// The acceleration that the motor's model gives without load, −a1·ω + a2·i [rad/s²].
+    /// The acceleration that the motor's model gives without load, −a1·ω + a2·i (rad/s²).
     #[inline]
     pub fn modelled_acceleration(&self, speed: S, current: S) -> S {
         S::combine([(self.a2, current), (self.a1, speed)])
     }
 
-    /// The second error z2 [rad/s²].
+    /// The second error z2 (rad/s²).
     #[inline]
     pub fn z2(&self, z1: S, modelled: S, reference: &Reference<S>, disturbance: S) -> S {
         S::combine([(self.c, z1)]) + (modelled - reference.acceleration) + disturbance
     }
 
-    /// The armature voltage u [V]; `lumped` is ζ̂2/k2 = −u2/k2.
+    /// The armature voltage u (V); `lumped` is ζ̂2/k2 = −u2/k2.
     #[inline]
     pub fn voltage(
         &self,

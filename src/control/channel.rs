@@ -27,19 +27,19 @@ pub enum Start {
 
 /// What a [`Channel`] is built from; all in the unit of the watched signal and seconds.
 pub(super) struct ChannelConfig {
-    /// Injection strength k [signal/s].
+    /// Injection strength k (signal/s).
     pub strength: f32,
-    /// Boundary layer ε [signal].
+    /// Boundary layer ε (signal).
     pub layer: f32,
-    /// Sampling period h [s].
+    /// Sampling period h (s).
     pub period: f32,
-    /// Time that the implicit form closes the injection over [s]: until the step's effect can be seen.
+    /// Time that the implicit form closes the injection over (s): until the step's effect can be seen.
     pub horizon: f32,
     /// Whether the injection corrects a model that runs here (an observer) or acts on the plant (a control).
     pub observer: bool,
     pub form: Form,
     pub start: Start,
-    /// Largest mismatch that is remembered [signal].
+    /// Largest mismatch that is remembered (signal).
     pub range: f32,
 }
 
@@ -121,7 +121,7 @@ impl<S: Scalar> Channel<S> {
         injection
     }
 
-    /// The sliding variable y, for which the injection is k·tanh(y/ε) [signal]. Zero before the first step.
+    /// The sliding variable y, for which the injection is k·tanh(y/ε) (signal). Zero before the first step.
     pub fn sliding_variable(&self) -> S {
         match &self.state {
             Some(state) => {

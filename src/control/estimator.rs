@@ -39,7 +39,7 @@ pub(super) struct Estimator<S: Scalar> {
 }
 
 impl<S: Scalar> Estimator<S> {
-    /// `speed_range` [rad/s] and `z2_range` [rad/s²] bound the mismatch that each channel remembers.
+    /// `speed_range` (rad/s) and `z2_range` (rad/s²) bound the mismatch that each channel remembers.
     pub fn new(
         memory: Memory,
         gains: &Gains,
@@ -81,7 +81,7 @@ impl<S: Scalar> Estimator<S> {
         self.second.reset();
     }
 
-    /// d̂ [rad/s²], from the speed ω, the error z1, the acceleration −a1·ω + a2·i and the reference's acceleration ω̇_d.
+    /// d̂ (rad/s²), from the speed ω, the error z1, the acceleration −a1·ω + a2·i and the reference's acceleration ω̇_d.
     #[inline]
     pub fn disturbance(&mut self, speed: S, z1: S, modelled: S, wanted: S) -> S {
         let injection = match self.memory {
@@ -97,7 +97,7 @@ impl<S: Scalar> Estimator<S> {
         self.second.advance(z2, S::combine([(self.minus_c, z2)]) - z1)
     }
 
-    /// The sliding variables: ω − x̂1 or s1 [rad/s], z2 − ẑ2 or s2 [rad/s²].
+    /// The sliding variables: ω − x̂1 or s1 (rad/s), z2 − ẑ2 or s2 (rad/s²).
     pub fn sliding_variables(&self) -> [S; 2] {
         [self.first.sliding_variable(), self.second.sliding_variable()]
     }

@@ -25,17 +25,17 @@ use injection::Injection;
 /// The paper's design parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Gains {
-    /// Convergence rate c of both backstepping errors [1/s]. Positive.
+    /// Convergence rate c of both backstepping errors (1/s). Positive.
     pub c: f32,
-    /// Strength k1 (QISMC: kc1) of the first injection [rad/s²]: the largest |d| = |T_l|/J that can be held. Positive.
+    /// Strength k1 (QISMC: kc1) of the first injection (rad/s²): the largest |d| = |T_l|/J that can be held. Positive.
     pub k1: f32,
-    /// Boundary layer ε1 (QISMC: η1) of the first injection [rad/s]. Positive.
+    /// Boundary layer ε1 (QISMC: η1) of the first injection (rad/s). Positive.
     pub epsilon1: f32,
-    /// Strength k2 (QISMC: kc2) of the second injection [rad/s³]: the largest |ζ2| that can be held. Positive.
+    /// Strength k2 (QISMC: kc2) of the second injection (rad/s³): the largest |ζ2| that can be held. Positive.
     ///
     /// Erratum: the paper asks for k1 > d1 under (26) and kc1 > d2 under (54); k2, kc2 > |ζ2| are meant.
     pub k2: f32,
-    /// Boundary layer ε2 (QISMC: η2) of the second injection [rad/s²]. Positive.
+    /// Boundary layer ε2 (QISMC: η2) of the second injection (rad/s²). Positive.
     pub epsilon2: f32,
 }
 
@@ -57,7 +57,7 @@ impl Gains {
 /// When the loop samples and when its voltage takes effect.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Timing {
-    /// Sampling rate, which is the PWM rate [Hz]. From 100 to 10 million.
+    /// Sampling rate, which is the PWM rate (Hz). From 100 to 10 million.
     pub rate: f32,
     /// Whether a voltage takes effect one period after the sample it was computed from, as on every real board, or at
     /// once, as in a textbook.
@@ -65,12 +65,12 @@ pub struct Timing {
 }
 
 impl Timing {
-    /// The sampling period h [s].
+    /// The sampling period h (s).
     pub fn period(&self) -> f32 {
         1.0 / self.rate
     }
 
-    /// Time from a sample to the end of the period in which the voltage computed from it acts [s].
+    /// Time from a sample to the end of the period in which the voltage computed from it acts (s).
     ///
     /// The second channel's injection acts through the plant, so its implicit form is closed over this time. Closed
     /// over one period it stays stable with the delay too, but rings: at the paper's gains and 20 kHz its poles have a
@@ -119,19 +119,19 @@ pub struct ControlConfig {
 /// shows that nothing overflows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Ranges {
-    /// Speed, measured or commanded [rad/s].
+    /// Speed, measured or commanded (rad/s).
     pub speed: f32,
-    /// Current [A].
+    /// Current (A).
     pub current: f32,
 }
 
 impl Ranges {
-    /// z1 [rad/s]: from one end of the range of speeds to the other.
+    /// z1 (rad/s): from one end of the range of speeds to the other.
     fn speed_error(&self) -> f32 {
         2.0 * self.speed
     }
 
-    /// z2 [rad/s²], of a reference that holds its speed.
+    /// z2 (rad/s²), of a reference that holds its speed.
     fn z2(&self, motor: &Coefficients, gains: &Gains) -> f32 {
         gains.c * self.speed_error() + motor.a1 * self.speed + motor.a2 * self.current + gains.k1
     }
@@ -140,13 +140,13 @@ impl Ranges {
 /// What a control step saw and decided.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Signals<S> {
-    /// Speed error z1 = ω − ω_d [rad/s].
+    /// Speed error z1 = ω − ω_d (rad/s).
     pub z1: S,
-    /// Error of the virtual control, z2 = a2·i − x2* [rad/s²].
+    /// Error of the virtual control, z2 = a2·i − x2* (rad/s²).
     pub z2: S,
-    /// Estimated disturbance d̂ = −T̂_l/J [rad/s²]; zero in plain backstepping.
+    /// Estimated disturbance d̂ = −T̂_l/J (rad/s²); zero in plain backstepping.
     pub disturbance: S,
-    /// Wanted armature voltage u [V], before any limit.
+    /// Wanted armature voltage u (V), before any limit.
     pub voltage: S,
 }
 
@@ -209,7 +209,7 @@ impl<S: Scalar> Controller<S> {
         }
     }
 
-    /// One step: from the speed ω [rad/s], the armature current i [A] and the reference to the voltage.
+    /// One step: from the speed ω (rad/s), the armature current i (A) and the reference to the voltage.
     #[inline]
     pub fn step(&mut self, speed: S, current: S, reference: &Reference<S>) -> Signals<S> {
         let z1 = speed - reference.speed;
@@ -228,8 +228,8 @@ impl<S: Scalar> Controller<S> {
         Signals { z1, z2, disturbance, voltage }
     }
 
-    /// The sliding variables of the last step, zero in plain backstepping: ω − x̂1 (QISMC: s1) [rad/s] and
-    /// z2 − ẑ2 (QISMC: s2) [rad/s²].
+    /// The sliding variables of the last step, zero in plain backstepping: ω − x̂1 (QISMC: s1) (rad/s) and
+    /// z2 − ẑ2 (QISMC: s2) (rad/s²).
     pub fn sliding_variables(&self) -> [S; 2] {
         match &self.estimator {
             Some(estimator) => estimator.sliding_variables(),
