@@ -104,7 +104,8 @@ impl Plot {
             } else {
                 chart.draw_series(LineSeries::new(points, style))?
             };
-            drawn.label(&line.name).legend(move |(x, y)| {
+            // The library guesses the width of a label, and guesses short.
+            drawn.label(format!("{}  ", line.name)).legend(move |(x, y)| {
                 PathElement::new([(x, y), (x + 16, y)], color.stroke_width(2))
             });
         }
