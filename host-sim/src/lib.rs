@@ -6,12 +6,13 @@
 //! - [`double`]: a double-precision scalar, to run the same laws without rounding in the way;
 //! - [`scenario`]: what to play, read from TOML and checked;
 //! - [`simulation`]: plays a scenario, period by period;
-//! - [`metrics`]: figures of merit of a run;
+//! - [`frame`]: what is recorded of a period; [`metrics`]: figures of merit of a run;
 //! - [`reproduction`]: the runs that reproduce the paper;
 //! - [`report`]: what they show, as HTML and in the terminal; [`plot`] and [`terminal`] draw its plots and tables.
 
 pub mod board;
 pub mod double;
+pub mod frame;
 pub mod metrics;
 pub mod plant;
 pub mod plot;

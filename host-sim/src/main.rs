@@ -3,9 +3,10 @@
 use anyhow::{Context, Result};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use host_sim::double::Double;
+use host_sim::frame::Frame;
 use host_sim::metrics::Metrics;
 use host_sim::scenario::{Controller, FormName, Scenario, ScenarioError};
-use host_sim::simulation::{Frame, Outcome, SimulationError, simulate};
+use host_sim::simulation::{Outcome, SimulationError, simulate};
 use host_sim::{report, reproduction, terminal};
 use indicatif::{ProgressBar, ProgressStyle};
 use quasidrive::drive::Fault;

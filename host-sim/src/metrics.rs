@@ -1,6 +1,6 @@
 //! Figures of merit of a run, in SI units.
 
-use crate::simulation::Frame;
+use crate::frame::Frame;
 use serde::Serialize;
 
 /// Time after each jump of the commanded speed, the start included, that does not count as steady (s).

@@ -1,10 +1,10 @@
 //! What the reproduction shows: a summary for the terminal, and one self-contained HTML page.
 
+use crate::frame::Frame;
 use crate::metrics::{Figures, Metrics};
 use crate::plot::{Line, Plot};
 use crate::reproduction::{Reproduction, Run, SETTLED, Window};
 use crate::scenario::Controller;
-use crate::simulation::Frame;
 use crate::terminal::{number, table};
 use anyhow::{Context, Result};
 use maud::{DOCTYPE, Markup, PreEscaped, html};

@@ -2,10 +2,11 @@
 //! are held against: explicit Euler, the ultimate bounds, and each other.
 
 use crate::double::{Double, SimulatedScalar};
+use crate::frame::Frame;
 use crate::metrics::Metrics;
 use crate::profile::Load;
 use crate::scenario::{Controller, FormName, Scenario, ShapeName, StartName};
-use crate::simulation::{Frame, SimulationError, simulate};
+use crate::simulation::{SimulationError, simulate};
 use indicatif::ProgressBar;
 use quasidrive::control::bounds;
 use rayon::prelude::*;

@@ -13,7 +13,7 @@
 //! Errata mended: (4) prints −a·x1 for +a1·x1; z2 is a2·x2 − x2* throughout; (11) and (21) print a2·(a4 − a1) and +a1²
 //! with inconsistent signs; (47) lacks a2 on a3·x1 and a4·x2; (21) and (47) print +c·d̂, which would leave c·d in ζ2.
 
-use super::{Gains, Ranges};
+use super::config::{Gains, Ranges};
 use crate::config::{ConfigError, require};
 use crate::math::Scalar;
 use crate::motor::Coefficients;

@@ -16,7 +16,7 @@
 //! Erratum: (53) prints u2 = +kc2·tanh(s2/η2), which diverges.
 
 use super::channel::{Channel, ChannelConfig, Form, Start};
-use super::{Gains, Timing};
+use super::config::{Gains, Timing};
 use crate::math::Scalar;
 
 /// What an estimator remembers.

@@ -1,6 +1,6 @@
 //! Building for Cortex-M, with the standard library from rustup or from Debian.
 
-use crate::setup::install;
+use crate::packages::install;
 use crate::shell::{Shell, cargo, program, root};
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;

@@ -1,6 +1,7 @@
 //! `cargo xtask`: the project's chores.
 
 mod cross;
+mod packages;
 mod setup;
 mod shell;
 
