@@ -104,7 +104,7 @@ pub enum Refusal {
     Faulted(Fault),
 }
 
-/// What a period did, for telemetry.
+/// What a period did.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Telemetry<S> {
     /// The reference.
@@ -113,6 +113,18 @@ pub struct Telemetry<S> {
     pub signals: Signals<S>,
     /// The armature voltage that was asked of the bridge, after the duty limit (V).
     pub voltage: S,
+    /// The estimator's sliding variables; see [`Controller::sliding_variables`].
+    pub sliding_variables: [S; 2],
+    /// The estimated load torque T̂_l = −J·d̂ (N·m), positive when it opposes positive motion.
+    pub load_torque: S,
+}
+
+/// What the last driven period leaves for telemetry.
+#[derive(Clone, Copy, Debug)]
+struct Record<S> {
+    reference: Reference<S>,
+    signals: Signals<S>,
+    voltage: S,
 }
 
 /// A speed drive for one motor.
@@ -127,7 +139,7 @@ pub struct Drive<S: Scalar> {
     bus_min: S,
     bus_max: S,
     minus_inertia: S::Gain,
-    telemetry: Option<Telemetry<S>>,
+    record: Option<Record<S>>,
 }
 
 impl<S: Scalar> Drive<S> {
@@ -147,7 +159,7 @@ impl<S: Scalar> Drive<S> {
             bus_min: S::from_f32(limits.bus_min),
             bus_max: S::from_f32(limits.bus_max),
             minus_inertia: S::gain(-motor.inertia),
-            telemetry: None,
+            record: None,
         })
     }
 
@@ -210,7 +222,7 @@ impl<S: Scalar> Drive<S> {
         let signals = self.controller.step(sample.speed, sample.current, &reference);
         let duty = (signals.voltage / sample.bus_voltage).limited(self.duty_limit);
         let voltage = duty * sample.bus_voltage;
-        self.telemetry = Some(Telemetry { reference, signals, voltage });
+        self.record = Some(Record { reference, signals, voltage });
         BridgeCommand::Duty(duty)
     }
 
@@ -237,20 +249,13 @@ impl<S: Scalar> Drive<S> {
     }
 
     /// What the last driven period did; nothing before the first.
-    pub fn telemetry(&self) -> Option<&Telemetry<S>> {
-        self.telemetry.as_ref()
-    }
-
-    /// The estimated load torque T̂_l = −J·d̂ (N·m), positive when it opposes positive motion.
-    pub fn load_torque(&self) -> S {
-        match &self.telemetry {
-            Some(telemetry) => S::combine([(self.minus_inertia, telemetry.signals.disturbance)]),
-            None => S::ZERO,
-        }
-    }
-
-    /// The sliding variables of the last step; see [`Controller::sliding_variables`].
-    pub fn sliding_variables(&self) -> [S; 2] {
-        self.controller.sliding_variables()
+    pub fn telemetry(&self) -> Option<Telemetry<S>> {
+        self.record.map(|Record { reference, signals, voltage }| Telemetry {
+            reference,
+            signals,
+            voltage,
+            sliding_variables: self.controller.sliding_variables(),
+            load_torque: S::combine([(self.minus_inertia, signals.disturbance)]),
+        })
     }
 }

@@ -14,6 +14,8 @@
 //! - [`control`]: the laws, the estimators and their ultimate bounds.
 //! - [`hal`]: one exchange per PWM period between the drive and a board.
 //! - [`drive`]: the composer: arming, faults, and [`Drive::step`](drive::Drive::step).
+//! - [`protocol`]: messages to a host that plays the motor.
+//! - `board`: the boards, for targets without an operating system only.
 //!
 //! All quantities are in SI units.
 //!
@@ -66,10 +68,13 @@
 //! ```
 #![no_std]
 
+#[cfg(target_os = "none")]
+pub mod board;
 pub mod config;
 pub mod control;
 pub mod drive;
 pub mod hal;
 pub mod math;
 pub mod motor;
+pub mod protocol;
 pub mod trajectory;

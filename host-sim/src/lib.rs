@@ -5,6 +5,7 @@
 //! - [`board`]: the simulated board, which implements [`quasidrive::hal::Board`];
 //! - [`double`]: a double-precision scalar, to run the same laws without rounding in the way;
 //! - [`scenario`]: what to play, read from TOML and checked;
+//! - [`link`]: where the drive runs, here or in [`qemu`];
 //! - [`simulation`]: plays a scenario, period by period;
 //! - [`frame`]: what is recorded of a period; [`metrics`]: figures of merit of a run;
 //! - [`reproduction`]: the runs that reproduce the paper;
@@ -13,10 +14,12 @@
 pub mod board;
 pub mod double;
 pub mod frame;
+pub mod link;
 pub mod metrics;
 pub mod plant;
 pub mod plot;
 pub mod profile;
+pub mod qemu;
 pub mod report;
 pub mod reproduction;
 pub mod scenario;

@@ -1,12 +1,14 @@
 //! `host-sim`: plays scenarios against the simulated motor.
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use host_sim::double::Double;
 use host_sim::frame::Frame;
+use host_sim::link::{LinkError, Local, LockStep};
 use host_sim::metrics::Metrics;
+use host_sim::qemu::{Emulator, PATIENCE, Qemu};
 use host_sim::scenario::{Controller, FormName, Scenario, ScenarioError};
-use host_sim::simulation::{Outcome, SimulationError, simulate};
+use host_sim::simulation::{Outcome, simulate, simulate_on};
 use host_sim::{report, reproduction, terminal};
 use indicatif::{ProgressBar, ProgressStyle};
 use quasidrive::drive::Fault;
@@ -76,6 +78,44 @@ struct Overrides {
     /// What the drive computes in: f32 as on the target, or f64 to see it without rounding.
     #[arg(long, default_value = "f32")]
     scalar: ScalarName,
+    /// Where the drive runs: here, or as firmware in QEMU, which is held against a drive here, bit for bit.
+    #[arg(long, value_name = "WHERE", default_value = "host")]
+    controller_on: Place,
+    /// Firmware for QEMU, built by `cargo xtask firmware`.
+    #[arg(long, value_name = "ELF", default_value = "target/firmware/qemu.elf")]
+    image: PathBuf,
+    /// QEMU.
+    #[arg(long, value_name = "PROGRAM", default_value = "qemu-system-arm")]
+    qemu: PathBuf,
+    /// QEMU's machine.
+    #[arg(long, default_value = "mps2-an386")]
+    machine: Machine,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, Serialize, ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+enum Place {
+    Host,
+    Qemu,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum Machine {
+    /// Cortex-M4F.
+    #[value(name = "mps2-an386")]
+    Mps2An386,
+    /// Cortex-M7.
+    #[value(name = "mps2-an500")]
+    Mps2An500,
+}
+
+impl Machine {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Mps2An386 => "mps2-an386",
+            Self::Mps2An500 => "mps2-an500",
+        }
+    }
 }
 
 #[derive(Clone, Copy, Serialize, ValueEnum)]
@@ -93,6 +133,7 @@ struct RunReport {
     controller: Controller,
     form: FormName,
     scalar: ScalarName,
+    controller_on: Place,
     rate: f64,
     delay: bool,
     duration: f64,
@@ -107,13 +148,14 @@ struct FaultReport {
 }
 
 impl RunReport {
-    fn new(file: &Path, scenario: &Scenario, scalar: ScalarName, outcome: Outcome) -> Self {
+    fn new(file: &Path, scenario: &Scenario, overrides: &Overrides, outcome: Outcome) -> Self {
         Self {
             scenario: file.to_owned(),
             title: scenario.title.clone(),
             controller: scenario.control.controller,
             form: scenario.control.form,
-            scalar,
+            scalar: overrides.scalar,
+            controller_on: overrides.controller_on,
             rate: scenario.timing.rate,
             delay: scenario.timing.delay,
             duration: scenario.duration,
@@ -132,7 +174,8 @@ fn main() -> ExitCode {
         Ok(code) => code,
         Err(error) => {
             eprintln!("error: {error:#}");
-            let refused = error.is::<ScenarioError>() || error.is::<SimulationError>();
+            let refused = error.is::<ScenarioError>()
+                || matches!(error.downcast_ref(), Some(LinkError::Config(_)));
             ExitCode::from(if refused { 2 } else { 1 })
         }
     }
@@ -212,16 +255,36 @@ fn play(file: &Path, overrides: &Overrides, csv: Option<&Path>) -> Result<RunRep
             written = rows.serialize(frame);
         }
     };
-    let outcome = match overrides.scalar {
-        ScalarName::F32 => simulate::<f32>(&scenario, each)?,
-        ScalarName::F64 => simulate::<Double>(&scenario, each)?,
+    let outcome = match (overrides.controller_on, overrides.scalar) {
+        (Place::Host, ScalarName::F32) => simulate::<f32>(&scenario, each)?,
+        (Place::Host, ScalarName::F64) => simulate::<Double>(&scenario, each)?,
+        (Place::Qemu, ScalarName::F32) => {
+            let config = scenario.drive_config();
+            let host = Local::new(&config)?;
+            let emulator = Emulator {
+                program: &overrides.qemu,
+                machine: overrides.machine.name(),
+                image: &overrides.image,
+                patience: PATIENCE,
+            };
+            let target = Qemu::start(&emulator, &config).map_err(LinkError::from)?;
+            simulate_on(&mut LockStep::new(host, target), &scenario, each)?
+        }
+        (Place::Qemu, ScalarName::F64) => bail!("the firmware in QEMU computes in f32 only"),
     };
     bar.finish_and_clear();
+    if overrides.controller_on == Place::Qemu {
+        let (periods, machine) = (outcome.metrics.whole.periods, overrides.machine.name());
+        eprintln!(
+            "{}: {periods} periods, host and {machine} identical bit for bit",
+            file.display()
+        );
+    }
     written.context("cannot write the CSV file")?;
     if let Some(rows) = &mut rows {
         rows.flush().context("cannot write the CSV file")?;
     }
-    Ok(RunReport::new(file, &scenario, overrides.scalar, outcome))
+    Ok(RunReport::new(file, &scenario, overrides, outcome))
 }
 
 /// A progress bar on a terminal; nothing in a pipe.

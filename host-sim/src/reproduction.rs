@@ -3,10 +3,11 @@
 
 use crate::double::{Double, SimulatedScalar};
 use crate::frame::Frame;
+use crate::link::LinkError;
 use crate::metrics::Metrics;
 use crate::profile::Load;
 use crate::scenario::{Controller, FormName, Scenario, ShapeName, StartName};
-use crate::simulation::{SimulationError, simulate};
+use crate::simulation::simulate;
 use indicatif::ProgressBar;
 use quasidrive::control::bounds;
 use rayon::prelude::*;
@@ -128,7 +129,7 @@ pub struct Reproduction {
 }
 
 /// Plays everything, two or more runs at a time. `progress` makes a bar for a number of periods.
-pub fn run(progress: &dyn Fn(u64) -> ProgressBar) -> Result<Reproduction, SimulationError> {
+pub fn run(progress: &dyn Fn(u64) -> ProgressBar) -> Result<Reproduction, LinkError> {
     let scenario = Scenario::paper();
     let vary = |controller, form, near_continuous| {
         let mut scenario = scenario.clone();
@@ -169,10 +170,7 @@ pub fn run(progress: &dyn Fn(u64) -> ProgressBar) -> Result<Reproduction, Simula
 }
 
 /// Plays the paper's cycle in `S` and keeps what is drawn.
-pub fn play<S: SimulatedScalar>(
-    scenario: &Scenario,
-    bar: &ProgressBar,
-) -> Result<Run, SimulationError> {
+pub fn play<S: SimulatedScalar>(scenario: &Scenario, bar: &ProgressBar) -> Result<Run, LinkError> {
     const PERIODS_PER_TICK: u64 = 4096;
     let rate = scenario.timing.rate;
     let inertia = scenario.motor.inertia;
@@ -289,7 +287,7 @@ impl Disturbance<'_> {
 
 impl Coincidence {
     /// Plays both on the scenario with its reference smoothed and their starts matched.
-    pub fn measure(scenario: &Scenario) -> Result<Self, SimulationError> {
+    pub fn measure(scenario: &Scenario) -> Result<Self, LinkError> {
         let mut scenario = scenario.clone();
         scenario.reference.shape = ShapeName::SecondOrder;
         scenario.reference.bandwidth = Some(50.0);

@@ -3,11 +3,12 @@
 use crate::board::SimulatedBoard;
 use crate::double::SimulatedScalar;
 use crate::frame::Frame;
+use crate::link::{Link, LinkError, Local};
 use crate::metrics::{Meter, Metrics};
 use crate::profile::value_at;
 use crate::scenario::Scenario;
-use quasidrive::config::ConfigError;
-use quasidrive::drive::{Drive, Fault, Mode, Refusal};
+use quasidrive::drive::{Fault, Mode};
+use quasidrive::hal::Board;
 
 /// How a run ended.
 #[derive(Clone, Debug)]
@@ -18,25 +19,22 @@ pub struct Outcome {
     pub fault: Option<(f64, Fault)>,
 }
 
-/// Why a run could not be played.
-#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-pub enum SimulationError {
-    /// The drive's configuration was refused.
-    #[error(transparent)]
-    Config(#[from] ConfigError),
-    /// The drive refused a command.
-    #[error("the drive refused a command: {0:?}")]
-    Refused(Refusal),
-}
-
-/// Plays `scenario` with a drive that computes in `S`, and shows every period to `each`.
+/// Plays `scenario` with a drive in this process that computes in `S`, and shows every period to `each`.
 pub fn simulate<S: SimulatedScalar>(
     scenario: &Scenario,
+    each: impl FnMut(&Frame),
+) -> Result<Outcome, LinkError> {
+    let mut drive = Local::<S>::new(&scenario.drive_config())?;
+    simulate_on(&mut drive, scenario, each)
+}
+
+/// Plays `scenario` with the drive behind a link, which must be armed and at its first period.
+pub fn simulate_on<S: SimulatedScalar>(
+    drive: &mut impl Link<S>,
+    scenario: &Scenario,
     mut each: impl FnMut(&Frame),
-) -> Result<Outcome, SimulationError> {
-    let mut drive = Drive::<S>::new(&scenario.drive_config())?;
+) -> Result<Outcome, LinkError> {
     let mut board = SimulatedBoard::<S>::new(scenario);
-    drive.arm().map_err(SimulationError::Refused)?;
     let mut meter = Meter::default();
     let mut command = None;
     let mut last_jump = 0.0;
@@ -45,16 +43,16 @@ pub fn simulate<S: SimulatedScalar>(
         let wanted = value_at(&scenario.reference.steps, 0.0, time);
         if command.replace(wanted) != Some(wanted) {
             last_jump = time;
-            drive.set_speed(S::from_f64(wanted)).map_err(SimulationError::Refused)?;
         }
         let state = board.state();
         let load_torque = board.load_torque();
-        drive.run_period(&mut board);
-        if let Mode::Faulted(fault) = drive.mode() {
+        let period = drive.exchange(S::from_f64(wanted), &board.sample())?;
+        board.apply(period.command);
+        if let Mode::Faulted(fault) = period.mode {
             return Ok(Outcome { metrics: meter.metrics(), fault: Some((time, fault)) });
         }
-        let Some(telemetry) = drive.telemetry() else { continue };
-        let [sliding1, sliding2] = drive.sliding_variables();
+        let Some(telemetry) = period.telemetry else { continue };
+        let [sliding1, sliding2] = telemetry.sliding_variables;
         let frame = Frame {
             time,
             reference: telemetry.reference.speed.to_f64(),
@@ -66,7 +64,7 @@ pub fn simulate<S: SimulatedScalar>(
             sliding1: sliding1.to_f64(),
             sliding2: sliding2.to_f64(),
             load_torque,
-            load_torque_estimate: drive.load_torque().to_f64(),
+            load_torque_estimate: telemetry.load_torque.to_f64(),
         };
         meter.add(&frame, time - last_jump);
         each(&frame);

@@ -29,9 +29,10 @@ pub enum ToolchainChoice {
 /// A toolchain that builds for Cortex-M.
 pub enum Cross {
     Rustup,
-    /// With a sysroot that holds core and alloc for the target.
     Debian {
+        /// Holds core and alloc for the target.
         sysroot: PathBuf,
+        linker: PathBuf,
     },
 }
 
@@ -57,15 +58,33 @@ impl Cross {
         self.cargo().args(&["build", "--target", TARGET]).args(arguments).run()
     }
 
+    /// Builds a board's firmware; gives its ELF, at `target/firmware/<board>.elf`.
+    pub fn firmware(&self, board: &str) -> Result<PathBuf> {
+        self.build(&["--profile", "firmware", "--bin", board, "--features", board])?;
+        let built = self.target_dir().join(TARGET).join("firmware").join(board);
+        let elf = root().join(format!("target/firmware/{board}.elf"));
+        fs::create_dir_all(elf.with_file_name(""))?;
+        fs::copy(&built, &elf).with_context(|| format!("no {}", built.display()))?;
+        Ok(elf)
+    }
+
     fn cargo(&self) -> Shell {
         match self {
             Self::Rustup => cargo(&[]),
-            Self::Debian { sysroot } => {
+            Self::Debian { sysroot, linker } => {
                 let flags = format!("--sysroot\u{1f}{}", sysroot.display());
-                // A folder of its own: cargo rebuilds everything when the compiler changes.
-                debian_cargo(&flags).env("CARGO_TARGET_DIR", root().join("target/debian"))
+                debian_cargo(&flags).env("CARGO_TARGET_THUMBV7EM_NONE_EABIHF_LINKER", linker)
             }
         }
+        .env("CARGO_TARGET_DIR", self.target_dir())
+    }
+
+    /// Each toolchain has a folder of its own: cargo rebuilds everything when the compiler changes.
+    fn target_dir(&self) -> PathBuf {
+        root().join(match self {
+            Self::Rustup => "target",
+            Self::Debian { .. } => "target/debian",
+        })
     }
 }
 
@@ -110,7 +129,20 @@ fn debian() -> Result<Cross> {
         println!("Set-up: building core for {TARGET} from Debian's source, once.");
         build_sysroot(&sysroot, &libraries)?;
     }
-    Ok(Cross::Debian { sysroot })
+    Ok(Cross::Debian { sysroot, linker: rust_lld()? })
+}
+
+/// The linker that comes with the host's toolchain.
+fn rust_lld() -> Result<PathBuf> {
+    let sysroot = program("rustc").args(&["--print", "sysroot"]).output();
+    let libraries = Path::new(sysroot.as_deref().unwrap_or_default().trim()).join("lib/rustlib");
+    let linkers = fs::read_dir(&libraries)
+        .with_context(|| format!("cannot read {}", libraries.display()))?
+        .filter_map(|host| Some(host.ok()?.path().join("bin/rust-lld")));
+    linkers
+        .into_iter()
+        .find(|linker| linker.is_file())
+        .with_context(|| format!("no rust-lld in {}", libraries.display()))
 }
 
 /// Builds core and alloc as a dependency of an empty crate, and lays them out as a sysroot.

@@ -1,0 +1,343 @@
+//! The drive in QEMU: processor in the loop.
+//!
+//! Starts `qemu-system-arm` with the firmware's image, its serial port connected to a local socket, and speaks
+//! [`quasidrive::protocol`] with it. The process ends with the value.
+
+use quasidrive::drive::DriveConfig;
+use quasidrive::hal::Sample;
+use quasidrive::protocol::{MAGIC, Reply, Request, Setup, VERSION, Verdict};
+use std::io::{ErrorKind, Read, Write};
+use std::os::unix::net::{UnixListener, UnixStream};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+/// How long QEMU may take to start, and then to answer, if nothing else is said. A period takes it half a millisecond.
+pub const PATIENCE: Duration = Duration::from_secs(10);
+
+/// Why QEMU did not do as a drive.
+#[derive(Debug, thiserror::Error)]
+pub enum QemuError {
+    /// There is no firmware to run.
+    #[error("no firmware image at {}: build it by `cargo xtask firmware`", .0.display())]
+    NoImage(PathBuf),
+    /// QEMU is not installed, or does not start.
+    #[error("cannot start qemu-system-arm: {0}; `cargo xtask setup` installs it")]
+    NoQemu(std::io::Error),
+    /// QEMU ended by itself.
+    #[error("QEMU ended by itself ({status}): {message}")]
+    Ended {
+        /// Its exit status.
+        status: String,
+        /// What it said.
+        message: String,
+    },
+    /// No answer in time.
+    #[error("no answer from QEMU within {waited:?}, {when}")]
+    Late {
+        /// How long was waited.
+        waited: Duration,
+        /// For what.
+        when: &'static str,
+    },
+    /// The connection broke.
+    #[error("lost QEMU {when}: {error}")]
+    Lost {
+        /// How it showed.
+        error: std::io::Error,
+        /// During what.
+        when: &'static str,
+    },
+    /// What answers does not speak the protocol.
+    #[error("QEMU's firmware does not answer as a drive (first word {0:#010x})")]
+    NotADrive(u32),
+    /// The firmware speaks another version.
+    #[error(
+        "QEMU's firmware speaks protocol {0}, this host {VERSION}: rebuild it by `cargo xtask firmware`"
+    )]
+    WrongVersion(u32),
+    /// The firmware refused the configuration.
+    #[error("QEMU's firmware refused the drive's configuration")]
+    SetupRefused,
+    /// A reply makes no sense.
+    #[error("QEMU's firmware sent a reply that makes no sense (first word {0:#010x})")]
+    BadReply(u32),
+}
+
+/// What to start.
+#[derive(Clone, Copy, Debug)]
+pub struct Emulator<'a> {
+    /// `qemu-system-arm`.
+    pub program: &'a Path,
+    /// `mps2-an386` or `mps2-an500`.
+    pub machine: &'a str,
+    /// The firmware's ELF.
+    pub image: &'a Path,
+    /// How long QEMU may take to start, and then to answer.
+    pub patience: Duration,
+}
+
+/// A running QEMU whose firmware is a drive.
+pub struct Qemu {
+    process: Process,
+    stream: UnixStream,
+    patience: Duration,
+}
+
+/// A child process that is killed when dropped.
+struct Process(Child);
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        // Either fails only if the process is gone already.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+impl Qemu {
+    /// Starts QEMU and makes it the drive of `config`.
+    pub fn start(emulator: &Emulator, config: &DriveConfig) -> Result<Self, QemuError> {
+        let &Emulator { program, machine, image, patience } = emulator;
+        if !image.is_file() {
+            return Err(QemuError::NoImage(image.to_owned()));
+        }
+        let folder = Folder::new().map_err(QemuError::NoQemu)?;
+        let socket = folder.0.join("serial");
+        let listener = UnixListener::bind(&socket).map_err(QemuError::NoQemu)?;
+        let child = Command::new(program)
+            .args(["-machine", machine, "-display", "none", "-monitor", "none"])
+            // The firmware logs by semihosting.
+            .args(["-semihosting-config", "enable=on,target=native"])
+            // One thread: waking a second one for every byte takes twice as long.
+            .args(["-accel", "tcg,thread=single"])
+            .args(["-chardev", &format!("socket,id=serial,path={}", socket.display())])
+            .args(["-serial", "chardev:serial"])
+            .arg("-kernel")
+            .arg(image)
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .map_err(QemuError::NoQemu)?;
+        let mut process = Process(child);
+        let stream = accept(&listener, &mut process, patience)?;
+        Self::on(stream, process, patience, config)
+    }
+
+    /// Makes whoever is at the other end of `stream` the drive of `config`.
+    fn on(
+        stream: UnixStream,
+        process: Process,
+        patience: Duration,
+        config: &DriveConfig,
+    ) -> Result<Self, QemuError> {
+        stream.set_read_timeout(Some(patience)).map_err(QemuError::NoQemu)?;
+        let mut qemu = Self { process, stream, patience };
+        qemu.set_up(config)?;
+        Ok(qemu)
+    }
+
+    fn set_up(&mut self, config: &DriveConfig) -> Result<(), QemuError> {
+        const WHEN: &str = "while setting up";
+        self.send(&[MAGIC, VERSION], WHEN)?;
+        self.send(&Setup(*config).to_words(), WHEN)?;
+        let [magic, version, verdict] = self.receive(WHEN)?;
+        if magic != MAGIC {
+            return Err(QemuError::NotADrive(magic));
+        }
+        if version != VERSION {
+            return Err(QemuError::WrongVersion(version));
+        }
+        match Verdict::from_word(verdict) {
+            Some(Verdict::Accepted) => Ok(()),
+            Some(Verdict::WrongVersion) => Err(QemuError::WrongVersion(version)),
+            Some(Verdict::Refused) => Err(QemuError::SetupRefused),
+            None => Err(QemuError::BadReply(verdict)),
+        }
+    }
+
+    /// One period.
+    pub fn period(&mut self, target: f32, sample: &Sample<f32>) -> Result<Reply, QemuError> {
+        const WHEN: &str = "while running";
+        self.send(&Request { target, sample: *sample }.to_words(), WHEN)?;
+        let words: [u32; Reply::WORDS] = self.receive(WHEN)?;
+        Reply::from_words(words).ok_or(QemuError::BadReply(words[0]))
+    }
+
+    fn send(&mut self, words: &[u32], when: &'static str) -> Result<(), QemuError> {
+        let bytes: Vec<u8> = words.iter().flat_map(|word| word.to_le_bytes()).collect();
+        self.stream.write_all(&bytes).map_err(|error| self.failure(error, when))
+    }
+
+    fn receive<const N: usize>(&mut self, when: &'static str) -> Result<[u32; N], QemuError> {
+        let mut bytes = [[0; 4]; N];
+        let read = self.stream.read_exact(bytes.as_flattened_mut());
+        read.map_err(|error| self.failure(error, when))?;
+        Ok(bytes.map(u32::from_le_bytes))
+    }
+
+    /// What a failed read or write means.
+    fn failure(&mut self, error: std::io::Error, when: &'static str) -> QemuError {
+        if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) {
+            return QemuError::Late { waited: self.patience, when };
+        }
+        // A closed socket: give the process a moment to be seen as ended.
+        std::thread::sleep(Duration::from_millis(100));
+        ended(&mut self.process).unwrap_or(QemuError::Lost { error, when })
+    }
+}
+
+/// Waits for QEMU to connect.
+fn accept(
+    listener: &UnixListener,
+    process: &mut Process,
+    patience: Duration,
+) -> Result<UnixStream, QemuError> {
+    listener.set_nonblocking(true).map_err(QemuError::NoQemu)?;
+    let start = Instant::now();
+    while start.elapsed() < patience {
+        match listener.accept() {
+            Ok((stream, _)) => {
+                stream.set_nonblocking(false).map_err(QemuError::NoQemu)?;
+                return Ok(stream);
+            }
+            Err(error) if error.kind() == ErrorKind::WouldBlock => {}
+            Err(error) => return Err(QemuError::NoQemu(error)),
+        }
+        if let Some(ended) = ended(process) {
+            return Err(ended);
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    Err(QemuError::Late { waited: patience, when: "to connect" })
+}
+
+/// The error of a process that has ended, with what it said.
+fn ended(process: &mut Process) -> Option<QemuError> {
+    let status = process.0.try_wait().ok()??;
+    let mut message = String::new();
+    if let Some(stderr) = &mut process.0.stderr {
+        // A message that cannot be read is no message.
+        let _ = stderr.read_to_string(&mut message);
+    }
+    Some(QemuError::Ended { status: status.to_string(), message: message.trim().to_owned() })
+}
+
+/// A folder of one's own, removed when dropped. The socket in it is needed until QEMU has connected.
+struct Folder(PathBuf);
+
+impl Folder {
+    fn new() -> std::io::Result<Self> {
+        use std::sync::atomic::{AtomicU64, Ordering};
+        static COUNT: AtomicU64 = AtomicU64::new(0);
+        let count = COUNT.fetch_add(1, Ordering::Relaxed);
+        let name = format!("quasidrive-{}-{count}", std::process::id());
+        let folder = std::env::temp_dir().join(name);
+        std::fs::create_dir(&folder)?;
+        Ok(Self(folder))
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        // What cannot be removed is left to the system's cleaning.
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenario::Scenario;
+    use quasidrive::drive::Mode;
+    use quasidrive::hal::BridgeCommand;
+
+    const SAMPLE: Sample<f32> = Sample { speed: 1.0, current: 2.0, bus_voltage: 24.0 };
+
+    fn sleeper() -> Process {
+        Process(Command::new("sleep").arg("60").spawn().expect("sleep"))
+    }
+
+    /// A connection to a thread that answers with `words`, one message after the other, and then hangs up, or stays
+    /// silent where `stays` says so.
+    fn against(answers: Vec<Vec<u32>>, stays: bool) -> Result<Qemu, QemuError> {
+        let (here, mut there) = UnixStream::pair().expect("a socket pair");
+        std::thread::spawn(move || {
+            for words in answers {
+                let mut request = [0; 4];
+                let _ = there.read_exact(&mut request);
+                let bytes: Vec<u8> = words.iter().flat_map(|word| word.to_le_bytes()).collect();
+                let _ = there.write_all(&bytes);
+            }
+            if stays {
+                std::thread::sleep(Duration::from_secs(2));
+            }
+        });
+        let config = Scenario::paper().drive_config();
+        Qemu::on(here, sleeper(), Duration::from_millis(200), &config)
+    }
+
+    fn accepted() -> Vec<u32> {
+        vec![MAGIC, VERSION, Verdict::Accepted as u32]
+    }
+
+    #[test]
+    fn a_drive_that_answers_is_used() {
+        let reply =
+            Reply { command: BridgeCommand::Duty(0.5), mode: Mode::Running, telemetry: None };
+        let mut qemu = against(vec![accepted(), reply.to_words().to_vec()], true).expect("set up");
+        assert_eq!(qemu.period(1.0, &SAMPLE).expect("a reply"), reply);
+    }
+
+    #[test]
+    fn set_up_errors_are_told_apart() {
+        let error = |words: Vec<u32>| against(vec![words], true).err().expect("refused");
+        let other = VERSION + 1;
+        assert!(matches!(error(vec![7, VERSION, 0]), QemuError::NotADrive(7)));
+        assert!(matches!(error(vec![MAGIC, other, 1]), QemuError::WrongVersion(v) if v == other));
+        assert!(matches!(error(vec![MAGIC, VERSION, 2]), QemuError::SetupRefused));
+        assert!(matches!(error(vec![MAGIC, VERSION, 9]), QemuError::BadReply(9)));
+        assert!(matches!(error(vec![MAGIC]), QemuError::Late { .. }), "a short read");
+    }
+
+    #[test]
+    fn a_lost_or_late_or_confused_drive_is_an_error() {
+        let period = |answers, stays| {
+            let mut qemu = against(answers, stays).expect("set up");
+            qemu.period(1.0, &SAMPLE).expect_err("no reply")
+        };
+        assert!(matches!(period(vec![accepted()], true), QemuError::Late { .. }));
+        let lost = period(vec![accepted(), vec![1, 2, 3]], false);
+        assert!(matches!(lost, QemuError::Lost { .. }), "{lost}");
+        let nonsense = period(vec![accepted(), vec![99; Reply::WORDS]], true);
+        assert!(matches!(nonsense, QemuError::BadReply(99)));
+    }
+
+    #[test]
+    fn a_process_that_is_none_ends_or_never_connects_is_an_error() {
+        let image = Path::new(env!("CARGO_MANIFEST_DIR")).join("Cargo.toml");
+        let start = |program: &str, image: &Path| {
+            let emulator = Emulator {
+                program: Path::new(program),
+                machine: "mps2-an386",
+                image,
+                patience: Duration::from_millis(300),
+            };
+            Qemu::start(&emulator, &Scenario::paper().drive_config()).err().expect("no drive")
+        };
+        assert!(matches!(start("no-such-qemu", &image), QemuError::NoQemu(_)));
+        assert!(matches!(start("false", &image), QemuError::Ended { .. }));
+        assert!(matches!(start("yes", &image), QemuError::Ended { .. } | QemuError::Late { .. }));
+        assert!(matches!(start("false", Path::new("no.elf")), QemuError::NoImage(_)));
+    }
+
+    #[test]
+    fn no_process_is_left_behind() {
+        let process = sleeper();
+        let id = process.0.id();
+        assert!(Path::new(&format!("/proc/{id}")).exists());
+        drop(process);
+        assert!(!Path::new(&format!("/proc/{id}")).exists());
+    }
+}
