@@ -15,7 +15,7 @@ pub struct ConfigError {
 
 impl fmt::Display for ConfigError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} {}, but is {}", self.field, self.rule, self.value)
+        write!(f, "{} {}, but is {:?}", self.field, self.rule, self.value)
     }
 }
 

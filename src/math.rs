@@ -30,11 +30,8 @@ pub trait Scalar:
     /// The signal 1.
     const ONE: Self;
 
-    /// The signal nearest to `value`. For configuration and telemetry, not for the loop.
+    /// The signal nearest to `value`. For configuration, not for the loop.
     fn from_f32(value: f32) -> Self;
-
-    /// The `f32` nearest to this signal. For telemetry, not for the loop.
-    fn to_f32(self) -> f32;
 
     /// The gain nearest to `value`. For configuration, not for the loop.
     fn gain(value: f32) -> Self::Gain;
@@ -75,10 +72,6 @@ impl Scalar for f32 {
 
     fn from_f32(value: f32) -> Self {
         value
-    }
-
-    fn to_f32(self) -> f32 {
-        self
     }
 
     fn gain(value: f32) -> f32 {

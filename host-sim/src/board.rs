@@ -28,7 +28,8 @@ pub struct SimulatedBoard<S> {
     time: f64,
     /// Bus voltage at that time (V).
     bus_now: f64,
-    acting: Armature,
+    /// What the bridge does until a delayed command takes effect.
+    acting: BridgeCommand<f64>,
     scalar: PhantomData<S>,
 }
 
@@ -52,7 +53,7 @@ impl<S: SimulatedScalar> SimulatedBoard<S> {
             period: 0,
             time: 0.0,
             bus_now,
-            acting: Armature::Open(bus_now),
+            acting: BridgeCommand::Off,
             scalar: PhantomData,
         }
     }
@@ -73,7 +74,12 @@ impl<S: SimulatedScalar> SimulatedBoard<S> {
         self.load.steps_at(self.time) + self.waves.sum() + friction
     }
 
-    fn advance(&mut self, armature: Armature) {
+    /// One period with the bridge doing `acting`: a duty is a share of the bus voltage that is there as it acts.
+    fn advance(&mut self, acting: BridgeCommand<f64>) {
+        let armature = match acting {
+            BridgeCommand::Off => Armature::Open(self.bus_now),
+            BridgeCommand::Duty(duty) => Armature::Driven(duty * self.bus_now),
+        };
         let h = 1.0 / (self.rate * self.substeps as f64);
         for substep in 0..self.substeps {
             // A jump belongs between integration steps: what holds in the middle holds throughout.
@@ -98,12 +104,90 @@ impl<S: SimulatedScalar> Board<S> for SimulatedBoard<S> {
 
     fn apply(&mut self, command: BridgeCommand<S>) {
         let commanded = match command {
-            BridgeCommand::Off => Armature::Open(self.bus_now),
-            BridgeCommand::Duty(duty) => Armature::Driven(duty.to_f64() * self.bus_now),
+            BridgeCommand::Off => BridgeCommand::Off,
+            BridgeCommand::Duty(duty) => BridgeCommand::Duty(duty.to_f64()),
         };
         let before = std::mem::replace(&mut self.acting, commanded);
         // A duty waits for the timer's next update where there is a delay; switching off never waits.
-        let waits = self.delay && matches!(commanded, Armature::Driven(_));
+        let waits = self.delay && commanded != BridgeCommand::Off;
         self.advance(if waits { before } else { commanded });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::double::Double;
+
+    const PERIOD: f64 = 5e-5;
+
+    fn board(edit: impl FnOnce(&mut Scenario)) -> SimulatedBoard<Double> {
+        let mut scenario = Scenario::paper();
+        scenario.load = Load::default();
+        edit(&mut scenario);
+        SimulatedBoard::new(&scenario)
+    }
+
+    /// Change of the current over a period that starts with none, at standstill (A).
+    fn kick(board: &mut SimulatedBoard<Double>, command: BridgeCommand<Double>) -> f64 {
+        let before = board.state().current;
+        board.apply(command);
+        board.state().current - before
+    }
+
+    #[test]
+    fn a_duty_acts_one_period_late_or_at_once() {
+        let duty = BridgeCommand::Duty(Double(0.5));
+        let mut late = board(|_| {});
+        assert_eq!(kick(&mut late, duty), 0.0);
+        // (1 − e^(−h·Ra/La))/Ra·12 V, less a little back-EMF.
+        let expected = (1.0 - (-PERIOD * 0.7 / 105e-6_f64).exp()) / 0.7 * 12.0;
+        let second = kick(&mut late, duty);
+        assert!((second / expected - 1.0).abs() < 0.01, "{second} A is not {expected} A");
+        let mut at_once = board(|scenario| scenario.timing.delay = false);
+        let first = kick(&mut at_once, duty);
+        assert!((first / expected - 1.0).abs() < 0.01, "{first} A is not {expected} A");
+    }
+
+    #[test]
+    fn off_never_waits() {
+        let mut board = board(|_| {});
+        for _ in 0..10 {
+            board.apply(BridgeCommand::Duty(Double(0.1)));
+        }
+        let driven = board.state().current;
+        board.apply(BridgeCommand::Off);
+        // Driven on, the current would have changed little; open, 24 V against it kill it within the period.
+        assert!(driven > 1.0 && board.state().current == 0.0, "{driven} A");
+    }
+
+    #[test]
+    fn a_duty_is_a_share_of_the_bus_as_it_acts() {
+        let step = Step { time: PERIOD, value: 12.0 };
+        let mut sagging = board(|scenario| scenario.bus.steps = vec![step]);
+        let mut stiff = board(|_| {});
+        let duty = BridgeCommand::Duty(Double(0.5));
+        for board in [&mut sagging, &mut stiff] {
+            board.apply(duty);
+            board.apply(duty);
+        }
+        // The duty was commanded at 24 V and acts at 12 V.
+        let ratio = sagging.state().current / stiff.state().current;
+        assert!((ratio - 0.5).abs() < 1e-3, "{ratio}");
+    }
+
+    #[test]
+    fn a_load_step_between_periods_acts_from_there_on() {
+        let step = Step { time: 2.0 * PERIOD, value: 0.1 };
+        let mut board = board(|scenario| scenario.load.steps = vec![step]);
+        let mut speeds = Vec::new();
+        for _ in 0..3 {
+            board.apply(BridgeCommand::Off);
+            speeds.push(board.state().speed);
+        }
+        assert_eq!(speeds[..2], [0.0, 0.0]);
+        let expected = -0.1 / 7.95e-5 * PERIOD;
+        assert!((speeds[2] / expected - 1.0).abs() < 1e-9, "{speeds:?}");
+        assert_eq!(board.load_torque(), 0.1);
     }
 }

@@ -1,7 +1,8 @@
 //! Double precision as a scalar of the control core.
 //!
 //! The core knows no f64; this is the simulator's own. It runs the same laws where the rounding of f32 would hide what
-//! is looked for: in near-continuous runs and against theoretical bounds.
+//! is looked for: in near-continuous runs and against theoretical bounds. Its gains are still the core's, rounded to f32
+//! when the drive is built.
 
 use quasidrive::math::Scalar;
 use std::ops::{Add, Div, Mul, Neg, Sub};
@@ -53,10 +54,6 @@ impl Scalar for Double {
 
     fn from_f32(value: f32) -> Self {
         Self(f64::from(value))
-    }
-
-    fn to_f32(self) -> f32 {
-        self.0 as f32
     }
 
     fn gain(value: f32) -> f64 {

@@ -13,6 +13,7 @@ use host_sim::{report, reproduction, terminal};
 use indicatif::{ProgressBar, ProgressStyle};
 use quasidrive::drive::Fault;
 use serde::Serialize;
+use std::io::{ErrorKind, Write, stdout};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -70,7 +71,7 @@ struct Overrides {
     #[arg(long)]
     controller: Option<Controller>,
     /// Sampling rate (Hz).
-    #[arg(long, value_name = "HZ")]
+    #[arg(long, value_name = "HZ", allow_negative_numbers = true)]
     rate: Option<f64>,
     /// How the estimators are stepped.
     #[arg(long)]
@@ -172,6 +173,8 @@ fn name(fault: Fault) -> String {
 fn main() -> ExitCode {
     match execute(Cli::parse().command) {
         Ok(code) => code,
+        // Whoever read the output has seen enough.
+        Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("error: {error:#}");
             let refused = error.is::<ScenarioError>()
@@ -181,15 +184,20 @@ fn main() -> ExitCode {
     }
 }
 
+fn is_broken_pipe(error: &anyhow::Error) -> bool {
+    let error = error.downcast_ref::<std::io::Error>();
+    error.is_some_and(|error| error.kind() == ErrorKind::BrokenPipe)
+}
+
 fn execute(command: Command) -> Result<ExitCode> {
     match command {
         Command::Run { file, json, csv, overrides } => {
             let run = play(&file, &overrides, csv.as_deref())?;
             if json {
-                println!("{}", serde_json::to_string_pretty(&run)?);
+                writeln!(stdout(), "{}", serde_json::to_string_pretty(&run)?)?;
             } else {
-                println!("{}: {}", file.display(), run.title);
-                print_table(std::slice::from_ref(&run));
+                writeln!(stdout(), "{}: {}", file.display(), run.title)?;
+                print_table(std::slice::from_ref(&run))?;
             }
             Ok(exit_code(&[run]))
         }
@@ -197,9 +205,9 @@ fn execute(command: Command) -> Result<ExitCode> {
             let runs: Vec<RunReport> =
                 files.iter().map(|file| play(file, &overrides, None)).collect::<Result<_>>()?;
             if json {
-                println!("{}", serde_json::to_string_pretty(&runs)?);
+                writeln!(stdout(), "{}", serde_json::to_string_pretty(&runs)?)?;
             } else {
-                print_table(&runs);
+                print_table(&runs)?;
             }
             Ok(exit_code(&runs))
         }
@@ -210,9 +218,9 @@ fn execute(command: Command) -> Result<ExitCode> {
                     write(&folder.join(name), &svg)?;
                 }
             } else {
-                println!("{}", report::summary(&results));
+                writeln!(stdout(), "{}", report::summary(&results))?;
                 write(&out, &report::html(&results)?)?;
-                println!("Report: {}", out.display());
+                writeln!(stdout(), "Report: {}", out.display())?;
             }
             Ok(ExitCode::SUCCESS)
         }
@@ -240,6 +248,7 @@ fn play(file: &Path, overrides: &Overrides, csv: Option<&Path>) -> Result<RunRep
     if let Some(rate) = overrides.rate {
         scenario.timing.rate = rate;
     }
+    scenario.recheck(file)?;
     let mut rows = match csv {
         Some(out) => Some(
             csv::Writer::from_path(out)
@@ -296,7 +305,7 @@ fn progress_bar(periods: u64) -> ProgressBar {
     }
 }
 
-fn print_table(runs: &[RunReport]) {
+fn print_table(runs: &[RunReport]) -> Result<()> {
     let columns: Vec<(String, Metrics)> = runs
         .iter()
         .map(|run| {
@@ -304,7 +313,8 @@ fn print_table(runs: &[RunReport]) {
             (format!("{name}\n{}", run.controller), run.metrics.clone())
         })
         .collect();
-    println!("{}", terminal::metrics_table(&columns));
+    writeln!(stdout(), "{}", terminal::metrics_table(&columns))?;
+    Ok(())
 }
 
 /// Success, or 3 with a message for every run that ended in a fault.

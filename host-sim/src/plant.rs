@@ -14,9 +14,12 @@ use serde::Deserialize;
 /// Speed below which Coulomb friction fades out (rad/s).
 const CREEP_SPEED: f64 = 0.1;
 
-/// Largest share of the electrical time constant that one integration step may span. RK4 errs by its fifth power / 120:
+/// Largest share of the fastest time constant that one integration step may span. RK4 errs by its fifth power / 120:
 /// 4e-5 of a transient per step.
 const STEP_PER_TIME_CONSTANT: f64 = 0.35;
+
+/// Most integration steps that a PWM period may take: beyond it a simulation would seem to hang.
+pub const MOST_STEPS: usize = 1000;
 
 /// Parameters of the simulated motor with what turns with it, in SI units.
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq)]
@@ -91,27 +94,34 @@ impl Plant {
 
     /// Integration steps that a time of `duration` (s) needs.
     pub fn steps_for(&self, duration: f64) -> usize {
-        let time_constant = self.motor.inductance / self.motor.resistance;
-        (duration / (STEP_PER_TIME_CONSTANT * time_constant)).ceil().max(1.0) as usize
+        let Motor { resistance, back_emf_constant, viscous_friction, coulomb_friction, .. } =
+            self.motor;
+        let electrical = resistance * self.per_inductance;
+        let mechanical = (viscous_friction + coulomb_friction / CREEP_SPEED) * self.per_inertia;
+        let oscillation = back_emf_constant * (self.per_inertia * self.per_inductance).sqrt();
+        let fastest = electrical.max(mechanical).max(oscillation);
+        (duration * fastest / STEP_PER_TIME_CONSTANT).ceil().max(1.0) as usize
     }
 
     /// One classical Runge-Kutta step of `h` seconds, with the load torque (N·m) at its start, middle and end.
     pub fn step(&self, state: State, armature: Armature, load: [f64; 3], h: f64) -> State {
         match armature {
-            Armature::Driven(voltage) => self.rk4(state, voltage, load, h),
+            Armature::Driven(voltage) => self.rk4(state, |_| voltage, load, h),
             Armature::Open(bus) => self.freewheel(state, bus, load, h),
         }
     }
 
-    fn rk4(&self, state: State, voltage: f64, load: [f64; 3], h: f64) -> State {
+    /// With a voltage that may depend on the speed.
+    fn rk4(&self, state: State, voltage: impl Fn(f64) -> f64, load: [f64; 3], h: f64) -> State {
         let along = |slope: State, h: f64| State {
             speed: state.speed + h * slope.speed,
             current: state.current + h * slope.current,
         };
-        let k1 = self.derivative(state, voltage, load[0]);
-        let k2 = self.derivative(along(k1, 0.5 * h), voltage, load[1]);
-        let k3 = self.derivative(along(k2, 0.5 * h), voltage, load[1]);
-        let k4 = self.derivative(along(k3, h), voltage, load[2]);
+        let slope = |at: State, load: f64| self.derivative(at, voltage(at.speed), load);
+        let k1 = slope(state, load[0]);
+        let k2 = slope(along(k1, 0.5 * h), load[1]);
+        let k3 = slope(along(k2, 0.5 * h), load[1]);
+        let k4 = slope(along(k3, h), load[2]);
         let sum = |k1: f64, k2: f64, k3: f64, k4: f64| k1 + 2.0 * (k2 + k3) + k4;
         along(
             State {
@@ -130,12 +140,10 @@ impl Plant {
         } else if self.motor.back_emf_constant * state.speed.abs() > bus {
             -state.speed.signum()
         } else {
-            // No current flows: only the mechanics go on, and a back-EMF matched by the voltage keeps it so.
-            let matched = self.motor.back_emf_constant * state.speed;
-            let next = self.rk4(state, matched, load, h);
-            return State { current: 0.0, ..next };
+            // No current flows: the voltage is the back-EMF, and only the mechanics go on.
+            return self.rk4(state, |speed| self.motor.back_emf_constant * speed, load, h);
         };
-        let next = self.rk4(state, -direction * bus, load, h);
+        let next = self.rk4(state, |_| -direction * bus, load, h);
         let died_down = next.current * direction < 0.0;
         State { current: if died_down { 0.0 } else { next.current }, ..next }
     }
@@ -196,6 +204,27 @@ mod tests {
         let truth = integrate(PAPER, Armature::Driven(12.0), State::default(), 64_000);
         assert!(distance(coarse, truth) < 1e-3, "{coarse:?} is not {truth:?}");
         assert!(distance(coarse, truth) > 1e-9, "RK4 with one step cannot be that good");
+    }
+
+    #[test]
+    fn friction_brings_a_light_motor_to_rest() {
+        // Coulomb friction is steep at standstill for so light a rotor: without steps for it, RK4 would be unstable.
+        let motor = Motor {
+            inertia: 1e-6,
+            inductance: 1e-3,
+            resistance: 5.0,
+            back_emf_constant: 0.02,
+            viscous_friction: 0.0,
+            coulomb_friction: 0.02,
+        };
+        let plant = Plant::new(motor);
+        let steps = plant.steps_for(5e-5);
+        assert!((20..40).contains(&steps), "{steps}");
+        let mut state = State { speed: 50.0, current: 0.0 };
+        for _ in 0..20_000 * steps {
+            state = plant.step(state, Armature::Driven(0.0), [0.0; 3], 5e-5 / steps as f64);
+        }
+        assert!(state.speed.abs() < 1e-6 && state.current.abs() < 1e-6, "{state:?}");
     }
 
     #[test]

@@ -518,7 +518,7 @@ fn disagreements(results: &Reproduction) -> Result<Markup> {
         p {
             "Equations (32) and (56) bound |d̃| by ε·|ḋ|/k, with the slope of tanh at zero, where it is steepest. But the \
              estimate k·tanh(x̃/ε) must equal d, and there the slope is less by the factor 1 − (d/k)². The paper's own \
-             load brings d to 0.97·k1, and the simulation exceeds the bound; it stays below the corrected one, \
+             load brings d to 0.96·k1, and the simulation exceeds the bound; it stays below the corrected one, \
              sup ε·|ḋ|/(k·(1 − (d/k)²)), and comes close to it."
         }
         table {
@@ -546,14 +546,16 @@ fn disagreements(results: &Reproduction) -> Result<Markup> {
         }
         h3 { "Errata" }
         ul {
-            li { "(2) prints +a4·x2, and a4 = Kb/Ra; Kirchhoff's law gives −a4·x2 and a4 = Ra/La." }
-            li { "(4) prints −a·x1 in the virtual control; cancelling −a1·x1 takes +a1·x1." }
-            li { "z2 is x2 − x2* above (7), but a2·x2 − x2* from (8) on; the latter is meant." }
-            li { "(11), (21) print a2·(a4 − a1) and +a1² with inconsistent signs: a2·(a4 + a1) and −a1²." }
-            li { "(15): ζ1 = (a1 + c)·d, from the sign in (4): (c − a1)·d." }
+            li { "(2) prints +a4·x2, and a4 = Kb/Ra below it; Kirchhoff's law gives −a4·x2 and a4 = Ra/La." }
+            li {
+                "(4) prints −a·x1 in the virtual control; cancelling −a1·x1 takes +a1·x1. The sign runs on: a2·(a4 − a1) and \
+                 +a1² in (8), (11), (21), (45) and (47) become a2·(a4 + a1) and −a1², and ζ1 = (a1 + c)·d above (11) becomes \
+                 (c − a1)·d."
+            }
+            li { "z2 is x2 − x2* above (7), but a2·x2 − x2* from (7) on; the latter is meant." }
+            li { "(8) and (45) lack a2 on −a3·x1 − a4·x2 + u/La, (47) on a3·x1 and a4·x2." }
             li { "(21), (47) print +c·d̂ in u1, which would leave c·d instead of c·d̃ in ζ2: it is left out." }
             li { "(26), (54) are followed by conditions on k1 and kc1; k2, kc2 > |ζ2| are meant." }
-            li { "(47) lacks a2 on a3·x1 and a4·x2." }
             li { "(53) prints u2 = +kc2·tanh(s2/η2), which diverges: u2 = −kc2·tanh(s2/η2)." }
         }
     })

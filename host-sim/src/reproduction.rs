@@ -215,12 +215,13 @@ pub fn play<S: SimulatedScalar>(scenario: &Scenario, bar: &ProgressBar) -> Resul
 }
 
 impl Bounds {
-    /// The bounds for a scenario, and what its run reached.
+    /// The bounds for BS-QSMDO or BS-QISMC on a scenario, and what its run reached. For loads without steps and motors
+    /// without Coulomb friction: where the disturbance jumps there is no bound on its rate.
     pub fn of(run: &Run, scenario: &Scenario) -> Self {
         let gains = scenario.drive_config().control.gains;
         let timing = scenario.drive_config().timing;
         let disturbance = Disturbance { load: &scenario.load, inertia: scenario.motor.inertia };
-        let sampled_error = |time: f64| {
+        let estimation_error = |time: f64| {
             let (value, rate) = disturbance.at(time);
             bounds::estimation(gains.epsilon1, gains.k1, value, rate)
         };
@@ -229,17 +230,20 @@ impl Bounds {
         let motor = &scenario.motor;
         let volts_per_torque = motor.resistance / motor.back_emf_constant;
         let per_volt = motor.back_emf_constant / (motor.inertia * motor.inductance);
+        let a1 = (motor.viscous_friction / motor.inertia) as f32;
         let stale = (per_volt * volts_per_torque) as f32 * timing.horizon();
-        // ζ2 = c·d̃ + d̂̇ and that part, along the quasi-static solution, and its rate, by central differences.
+        // ζ2 = (c − a1)·d̃ + d̂̇ and that part, along the quasi-static solution, and its rate, by central differences.
         let step = 1e-3;
         let lumped = |time: f64| {
             let signed = |time: f64| {
                 let (_, rate) = disturbance.at(time);
-                sampled_error(time).copysign(rate)
+                estimation_error(time).copysign(rate)
             };
             let (_, rate) = disturbance.at(time);
             let drift = (signed(time + step) - signed(time - step)) / (2.0 * step as f32);
-            gains.c * signed(time) + rate - drift - stale * scenario.load.rate_at(time) as f32
+            (gains.c - a1) * signed(time) + rate
+                - drift
+                - stale * scenario.load.rate_at(time) as f32
         };
         let lumped_rate =
             |time: f64| (lumped(time + step) - lumped(time - step)) / (2.0 * step as f32);
@@ -251,7 +255,7 @@ impl Bounds {
         let rate = supremum(&|time| disturbance.at(time).1);
         let value = supremum(&|time| disturbance.at(time).0);
         let sampling = bounds::sampling(timing.period(), rate);
-        let corrected = supremum(&sampled_error) + sampling;
+        let corrected = supremum(&estimation_error) + sampling;
         let paper = bounds::estimation_paper(gains.epsilon1, gains.k1, rate);
         let sup_lumped_rate = supremum(&lumped_rate);
         let lumped_error = supremum(&|time| {

@@ -2,7 +2,7 @@
 //!
 //! The schema is documented for users in `scenarios/README.md`.
 
-use crate::plant::{Motor, State};
+use crate::plant::{MOST_STEPS, Motor, Plant, State};
 use crate::profile::{Load, Step};
 use clap::ValueEnum;
 use quasidrive::config::ConfigError;
@@ -257,6 +257,9 @@ impl fmt::Display for ScenarioError {
     }
 }
 
+const TOO_FAST: &str = "must not give, with the other parameters, a motor that takes more than 1000 integration steps \
+                        a period";
+
 /// A field that breaks a rule.
 struct Broken {
     field: String,
@@ -267,7 +270,7 @@ impl From<ConfigError> for Broken {
     fn from(error: ConfigError) -> Self {
         Self {
             field: error.field.to_owned(),
-            rule: format!("{}, but is {}", error.rule, error.value),
+            rule: format!("{}, but is {:?}", error.rule, error.value),
         }
     }
 }
@@ -276,7 +279,7 @@ fn rule(holds: bool, field: &str, rule: &str, value: f64) -> Result<(), Broken> 
     if holds {
         return Ok(());
     }
-    Err(Broken { field: field.to_owned(), rule: format!("{rule}, but is {value}") })
+    Err(Broken { field: field.to_owned(), rule: format!("{rule}, but is {value:?}") })
 }
 
 fn finite(field: &str, value: f64) -> Result<(), Broken> {
@@ -350,21 +353,35 @@ impl Scenario {
         Ok(scenario)
     }
 
+    /// Checks a scenario that was changed after it was read from `file`.
+    pub fn recheck(&self, file: &Path) -> Result<(), ScenarioError> {
+        self.check().map_err(|Broken { field, rule }| ScenarioError {
+            file: file.to_owned(),
+            line: None,
+            message: format!("with the command line's changes, {field} {rule}"),
+        })
+    }
+
     /// Every rule that the types do not hold already. A field is named by its path in the file.
     fn check(&self) -> Result<(), Broken> {
         positive("duration", self.duration)?;
         rule(self.duration <= 1e5, "duration", "must be at most 1e5 s", self.duration)?;
+        positive("timing.rate", self.timing.rate)?;
+        rule(self.periods() > 0, "duration", "must be at least a period", self.duration)?;
         positive("motor.inertia", self.motor.inertia)?;
         positive("motor.inductance", self.motor.inductance)?;
         positive("motor.resistance", self.motor.resistance)?;
         positive("motor.back_emf_constant", self.motor.back_emf_constant)?;
         non_negative("motor.viscous_friction", self.motor.viscous_friction)?;
         non_negative("motor.coulomb_friction", self.motor.coulomb_friction)?;
-        positive("timing.rate", self.timing.rate)?;
         positive("bus.voltage", self.bus.voltage)?;
         check_steps("bus.steps", &self.bus.steps, positive)?;
-        finite("initial.speed", self.initial.speed)?;
-        finite("initial.current", self.initial.current)?;
+        for (field, value, limit) in [
+            ("initial.speed", self.initial.speed, self.limits.speed),
+            ("initial.current", self.initial.current, self.limits.current),
+        ] {
+            rule(value.abs() <= limit, field, "must be within the drive's limits", value)?;
+        }
         check_steps("reference.steps", &self.reference.steps, |field, speed| {
             let holds = speed.abs() <= self.limits.speed;
             rule(holds, field, "must be within ±limits.speed", speed)
@@ -374,11 +391,17 @@ impl Scenario {
         check_steps("load.steps", &self.load.steps, finite)?;
         for (index, sine) in self.load.sines.iter().enumerate() {
             finite(&format!("load.sines[{index}].amplitude"), sine.amplitude)?;
-            non_negative(&format!("load.sines[{index}].frequency"), sine.frequency)?;
+            let frequency = format!("load.sines[{index}].frequency");
+            non_negative(&frequency, sine.frequency)?;
+            let resolved = sine.frequency <= 0.1 * self.timing.rate;
+            rule(resolved, &frequency, "must be at most a tenth of timing.rate", sine.frequency)?;
             finite(&format!("load.sines[{index}].phase"), sine.phase)?;
         }
-        // What is left are the drive's own rules, with its own names for the same fields.
+        // Then the drive's own rules, with its own names for the same fields.
         quasidrive::drive::Drive::<f32>::new(&self.drive_config())?;
+        let steps = Plant::new(self.motor).steps_for(1.0 / self.timing.rate);
+        let playable = steps <= MOST_STEPS;
+        rule(playable, "motor.inductance", TOO_FAST, self.motor.inductance)?;
         Ok(())
     }
 

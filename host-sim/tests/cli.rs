@@ -121,6 +121,15 @@ fn refusals_name_file_line_and_field() {
         ("time = 3.0", "time = 8.0", ":34: reference.steps[2].time must not be before"),
         ("136.13", "5000", ":33: reference.steps[1].value must be within ±limits.speed"),
         ("frequency = 1.0", "frequency = inf", ":41: load.sines[1].frequency must be zero"),
+        (
+            "frequency = 1.0",
+            "frequency = 40e3",
+            ":41: load.sines[1].frequency must be at most a tenth",
+        ),
+        ("inductance = 105e-6", "inductance = 1e-12", ":6: motor.inductance must not give"),
+        ("duration = 10.0", "duration = 1e-9", ":2: duration must be at least a period"),
+        ("[load]", "[initial]\nspeed = 5000\n[load]", ":38: initial.speed must be within"),
+        ("c = 200.0", "c = 1e4", ":24: gains.c must be at most 0.4"),
         ("[load]", "[load", ":37: "),
         ("[load]", "[road]", "unknown field `road`"),
         ("[bus]", "[limits]\nduty = 2.0\n[bus]", ":16: limits.duty must be above 0 and at most 1"),
@@ -144,8 +153,10 @@ fn exit_codes_tell_failure() {
     let missing = "no-such-file.toml";
     host_sim().arg("run").arg(missing).assert().code(2).stderr(contains(missing));
     host_sim().arg("run").assert().code(2);
-    let bad_rate = host_sim().args(["run", "--rate", "0"]).arg(paper()).assert();
-    bad_rate.code(2).stderr(contains("timing.rate"));
+    for rate in ["0", "-5", "nan", "100"] {
+        let refused = host_sim().args(["run", "--rate", rate]).arg(paper()).assert();
+        refused.code(2).stderr(contains("paper.toml: with the command line's changes, "));
+    }
     host_sim()
         .arg("run")
         .arg(scenarios().join("bus-sag.toml"))
@@ -157,6 +168,28 @@ fn exit_codes_tell_failure() {
         .assert()
         .code(1)
         .stderr(contains("/dev/null"));
+}
+
+#[test]
+fn a_refused_run_leaves_the_csv_file_alone() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let out = folder.path().join("keep.csv");
+    std::fs::write(&out, "precious").expect("written");
+    let refused = host_sim().args(["run", "--rate", "5", "--csv"]).arg(&out).arg(paper()).assert();
+    refused.code(2).stderr(contains("paper.toml").and(contains("command line")));
+    assert_eq!(std::fs::read_to_string(&out).expect("there"), "precious");
+}
+
+#[test]
+fn a_reader_that_has_seen_enough_is_no_error() {
+    let mut child = std::process::Command::new(env!("CARGO_BIN_EXE_host-sim"))
+        .arg("run")
+        .arg(paper())
+        .stdout(std::process::Stdio::piped())
+        .spawn()
+        .expect("runs");
+    drop(child.stdout.take());
+    assert!(child.wait().expect("ends").success());
 }
 
 #[test]

@@ -10,8 +10,9 @@
 //! leave ż1 = −c·z1 + z2 + d̃ and ż2 = −z1 − c·z2 + u2 + ζ2, with d̃ = d − d̂ and ζ2 = (c − a1)·d̃ + d̂̇. Plain
 //! backstepping is the same law with d̂ = 0 and u2 = 0.
 //!
-//! Errata mended: (4) prints −a·x1 for +a1·x1; z2 is a2·x2 − x2* throughout; (11) and (21) print a2·(a4 − a1) and +a1²
-//! with inconsistent signs; (47) lacks a2 on a3·x1 and a4·x2; (21) and (47) print +c·d̂, which would leave c·d in ζ2.
+//! Errata mended: (4) prints −a·x1 for +a1·x1, and its sign runs on into a2·(a4 − a1) and +a1² of (8), (11), (21), (45) and
+//! (47); (8), (45) and (47) lack a2 on a3·x1, a4·x2 and u/La; z2 is a2·x2 − x2* throughout; (21) and (47) print +c·d̂,
+//! which would leave c·d in ζ2.
 
 use super::config::{Gains, Ranges};
 use crate::config::{ConfigError, require};
@@ -53,10 +54,12 @@ impl<S: Scalar> Backstepping<S> {
         let z2 = -volts * 2.0 * c;
         let disturbance = volts * a1;
         let lumped = -volts * k2;
+        let z2_range = ranges.z2(motor, gains);
+        require(z2_range <= 1e12, "gains.c", "must keep z2 within 1e12 rad/s²", c)?;
         let largest_voltage = speed.abs() * ranges.speed
             + current * ranges.current
             + z1.abs() * ranges.speed_error()
-            + z2.abs() * ranges.z2(motor, gains)
+            + z2.abs() * z2_range
             + disturbance * k1
             + lumped.abs();
         require(
@@ -111,5 +114,65 @@ impl<S: Scalar> Backstepping<S> {
             (self.voltage.disturbance, disturbance),
             (self.voltage.lumped, lumped),
         ])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::motor::MotorParameters;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// The law, put into the model, must leave the error dynamics that this module states, whatever the motor and
+        /// the state. In f64 beside the law's f32.
+        #[test]
+        fn leaves_the_stated_error_dynamics(
+            [friction, speed, current, wanted, acceleration, jerk, estimate, rest, load, drift] in
+                prop::array::uniform10(-1.0..1.0_f32),
+            c in 10.0..2000.0_f32,
+        ) {
+            let motor = MotorParameters {
+                // a1 up to 2·c: no term may hide.
+                viscous_friction: friction.abs() * 2.0 * c * MotorParameters::PAPER.inertia,
+                ..MotorParameters::PAPER
+            }
+            .coefficients()
+            .expect("valid");
+            let gains = Gains { c, ..Gains::PAPER };
+            let ranges = Ranges { speed: 400.0, current: 40.0 };
+            let law = Backstepping::<f32>::new(&motor, &gains, &ranges).expect("valid");
+            let (speed, current) = (100.0 * speed, 10.0 * current);
+            let reference = Reference {
+                speed: 100.0 * wanted,
+                acceleration: 1e3 * acceleration,
+                jerk: 1e5 * jerk,
+            };
+            let disturbance = 1e3 * estimate;
+            let z1 = speed - reference.speed;
+            let z2 = law.z2(z1, law.modelled_acceleration(speed, current), &reference, disturbance);
+            let voltage = law.voltage((speed, current), (z1, z2), &reference, (disturbance, rest));
+
+            let f = f64::from;
+            let (a1, a2, a3, a4, c) = (f(motor.a1), f(motor.a2), f(motor.a3), f(motor.a4), f(c));
+            let (z1, z2, d) = (f(z1), f(z2), 1e3 * f(load));
+            let (estimate, estimate_rate) = (f(disturbance), 1e5 * f(drift));
+            let acceleration = -a1 * f(speed) + a2 * f(current) + d;
+            let current_rate = -a3 * f(speed) - a4 * f(current) + f(voltage) / f(motor.inductance);
+            let z1_rate = acceleration - f(reference.acceleration);
+            let wanted_rate =
+                -c * z1_rate + a1 * acceleration + f(reference.jerk) - estimate_rate;
+            let z2_rate = a2 * current_rate - wanted_rate;
+            let stated_z1_rate = -c * z1 + z2 + (d - estimate);
+            let lumped = (c - a1) * (d - estimate) + estimate_rate;
+            let stated_z2_rate = -z1 - c * z2 - f(gains.k2) * f(rest) + lumped;
+            // Seven f32 products of a few volts, 1e-6 V, through a2/La; z2 itself to 1e-7 of a few thousand, times c.
+            let tolerance = 3e-6 * a2 / f(motor.inductance) + 1e-6 * c * (z2.abs() + 1e4);
+            prop_assert!((z1_rate - stated_z1_rate).abs() < 0.1, "{z1_rate} is not {stated_z1_rate}");
+            prop_assert!(
+                (z2_rate - stated_z2_rate).abs() < tolerance,
+                "{z2_rate} is not {stated_z2_rate} to {tolerance}"
+            );
+        }
     }
 }

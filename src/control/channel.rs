@@ -1,13 +1,14 @@
 //! One channel of an estimator: what a measured signal does beyond its model.
 
 use super::injection::Injection;
+use crate::config::{ConfigError, require};
 use crate::math::Scalar;
 
 /// How a channel's differential equation is stepped at the PWM rate.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Form {
-    /// The injection closed implicitly over the step, the model integrated by the trapezoidal rule. Stable at every
-    /// rate.
+    /// The injection closed implicitly over the step, the model integrated by the trapezoidal rule. The channel by
+    /// itself is stable at every rate.
     #[default]
     Implicit,
     /// Forward Euler throughout, as the continuous equations read when coded term by term. Chatters when h·k/ε is
@@ -26,11 +27,14 @@ pub enum Start {
 }
 
 /// What a [`Channel`] is built from; all in the unit of the watched signal and seconds.
+#[derive(Clone, Copy)]
 pub(super) struct ChannelConfig {
     /// Injection strength k (signal/s).
     pub strength: f32,
     /// Boundary layer ε (signal).
     pub layer: f32,
+    /// The configuration's name for it.
+    pub layer_field: &'static str,
     /// Sampling period h (s).
     pub period: f32,
     /// Time that the implicit form closes the injection over (s): until the step's effect can be seen.
@@ -73,14 +77,27 @@ struct State<S> {
 }
 
 impl<S: Scalar> Channel<S> {
-    pub fn new(config: &ChannelConfig) -> Self {
-        let ChannelConfig { strength, layer, period, horizon, .. } = *config;
+    pub fn new(config: &ChannelConfig) -> Result<Self, ConfigError> {
+        let ChannelConfig { strength, layer, layer_field, period, horizon, range, .. } = *config;
+        require(
+            horizon * strength / layer <= Injection::<S>::MAX_BETA,
+            layer_field,
+            "must be larger: strength·horizon/layer may be 2000 at most",
+            layer,
+        )?;
+        // An f32 of seven digits would not see the layer beside such a mismatch.
+        require(
+            range / layer <= 1e7,
+            layer_field,
+            "must be at least 1e-7 of the largest mismatch",
+            layer,
+        )?;
         let (beta, weight_now) = match config.form {
             Form::Implicit => (horizon * strength / layer, 0.5),
             Form::Explicit => (0.0, 0.0),
         };
         let correction = if config.observer { period * strength / layer } else { 0.0 };
-        Self {
+        Ok(Self {
             injection: Injection::new(beta),
             per_layer: S::gain(1.0 / layer),
             rate_now: S::gain(-weight_now * period / layer),
@@ -88,10 +105,10 @@ impl<S: Scalar> Channel<S> {
             correction: S::gain(-correction),
             layer: S::gain(layer),
             beta: S::gain(-beta),
-            limit: S::from_f32(config.range / layer + beta),
+            limit: S::from_f32(range / layer + beta),
             start: config.start,
             state: None,
-        }
+        })
     }
 
     /// Forgets the past: the next step is a first one.

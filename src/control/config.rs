@@ -7,7 +7,9 @@ use crate::motor::Coefficients;
 /// The paper's design parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Gains {
-    /// Convergence rate c of both backstepping errors (1/s). Positive.
+    /// Convergence rate c of both backstepping errors (1/s). Positive, and at most 0.4 of the rate at which the loop
+    /// can answer, 1/[`Timing::horizon`]: the law is a continuous one, and sampled more slowly it rings (tests play up
+    /// to that limit; unstable from about 1).
     pub c: f32,
     /// Strength k1 (QISMC: kc1) of the first injection (rad/s²): the largest |d| = |T_l|/J that can be held. Positive.
     pub k1: f32,

@@ -17,11 +17,12 @@
 
 use super::channel::{Channel, ChannelConfig, Form, Start};
 use super::config::{Gains, Timing};
+use crate::config::ConfigError;
 use crate::math::Scalar;
 
 /// What an estimator remembers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Memory {
+pub(super) enum Memory {
     /// Observer states x̂1 and ẑ2 (QSMDO).
     Observer,
     /// Integral sliding variables s1 and s2 (QISMC).
@@ -47,33 +48,35 @@ impl<S: Scalar> Estimator<S> {
         form: Form,
         start: Start,
         (speed_range, z2_range): (f32, f32),
-    ) -> Self {
+    ) -> Result<Self, ConfigError> {
         let period = timing.period();
-        Self {
+        let first = ChannelConfig {
+            strength: gains.k1,
+            layer: gains.epsilon1,
+            layer_field: "gains.epsilon1",
+            period,
+            horizon: period,
+            observer: true,
+            form,
+            start,
+            range: speed_range,
+        };
+        let second = ChannelConfig {
+            strength: gains.k2,
+            layer: gains.epsilon2,
+            layer_field: "gains.epsilon2",
+            horizon: timing.horizon(),
+            observer: false,
+            range: z2_range,
+            ..first
+        };
+        Ok(Self {
             memory,
-            first: Channel::new(&ChannelConfig {
-                strength: gains.k1,
-                layer: gains.epsilon1,
-                period,
-                horizon: period,
-                observer: true,
-                form,
-                start,
-                range: speed_range,
-            }),
-            second: Channel::new(&ChannelConfig {
-                strength: gains.k2,
-                layer: gains.epsilon2,
-                period,
-                horizon: timing.horizon(),
-                observer: false,
-                form,
-                start,
-                range: z2_range,
-            }),
+            first: Channel::new(&first)?,
+            second: Channel::new(&second)?,
             k1: S::gain(gains.k1),
             minus_c: S::gain(-gains.c),
-        }
+        })
     }
 
     pub fn reset(&mut self) {

@@ -22,9 +22,7 @@ use backstepping::Backstepping;
 pub use channel::{Form, Start};
 pub(crate) use config::Ranges;
 pub use config::{ControlConfig, Gains, Law, Timing};
-use estimator::Estimator;
-pub use estimator::Memory;
-use injection::Injection;
+use estimator::{Estimator, Memory};
 
 /// What a control step saw and decided.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -57,38 +55,26 @@ impl<S: Scalar> Controller<S> {
         timing.check()?;
         let gains = &config.gains;
         gains.check()?;
-        let z2 = ranges.z2(motor, gains);
-        require(z2 <= 1e12, "gains.c", "must keep z2 within 1e12 rad/s²", gains.c)?;
-        for (strength, layer, layer_field, range) in [
-            (gains.k1, gains.epsilon1, "gains.epsilon1", ranges.speed_error()),
-            (gains.k2, gains.epsilon2, "gains.epsilon2", z2),
-        ] {
-            require(
-                timing.horizon() * strength / layer <= Injection::<S>::MAX_BETA,
-                layer_field,
-                "must be larger: strength·horizon/layer may be 2000 at most",
-                layer,
-            )?;
-            // An f32 of seven digits would not see the layer beside such a mismatch.
-            require(
-                range / layer <= 1e7,
-                layer_field,
-                "must be at least 1e-7 of the largest mismatch",
-                layer,
-            )?;
-        }
+        require(
+            gains.c * timing.horizon() <= 0.4 * (1.0 + f32::EPSILON),
+            "gains.c",
+            "must be at most 0.4 of 1/horizon, the horizon being a period, or two with the delay",
+            gains.c,
+        )?;
         let (memory, start) = match config.law {
             Law::Backstepping => (None, Start::Matched),
             Law::Qsmdo => (Some(Memory::Observer), config.start),
             Law::Qismc => (Some(Memory::Integral), Start::Matched),
         };
-        Ok(Self {
-            law: Backstepping::new(motor, gains, ranges)?,
-            estimator: memory.map(|memory| {
-                let ranges = (ranges.speed_error(), z2);
-                Estimator::new(memory, gains, timing, config.form, start, ranges)
-            }),
-        })
+        let law = Backstepping::new(motor, gains, ranges)?;
+        let estimator = match memory {
+            Some(memory) => {
+                let ranges = (ranges.speed_error(), ranges.z2(motor, gains));
+                Some(Estimator::new(memory, gains, timing, config.form, start, ranges)?)
+            }
+            None => None,
+        };
+        Ok(Self { law, estimator })
     }
 
     /// Forgets the past: the next step is a first one.
