@@ -1,14 +1,16 @@
 //! Messages between a drive and a host that plays its motor, as 32-bit words.
 //!
-//! The host opens with a [`Setup`]; the drive answers with its [`VERSION`] and a [`Verdict`]. From then on each period
-//! is one [`Request`] and one [`Reply`]. Numbers travel as the bit patterns of their f32, so that both sides can be held to the same
-//! bits. Words are little-endian on a byte stream.
+//! The host opens with a [`Setup`]; the drive answers with its [`VERSION`] and a [`Verdict`]. From then on the host asks, each time
+//! with one byte for a [`Question`] and the words that belong to it. A period is a sample and a [`Reply`], kept short: an emulated
+//! serial port takes its time for every byte. What the period did is in the reply as a digest only; the [`Record`] behind
+//! it is told when asked for. Numbers travel as the bit patterns of their f32, so that both sides can be held to the same
+//! bits. Words are little-endian.
 
-use crate::control::{ControlConfig, Form, Gains, Law, Signals, Start, Timing};
+use crate::control::{ControlConfig, Form, Gains, Law, Start, Timing};
 use crate::drive::{DriveConfig, Fault, Limits, Mode, Telemetry};
 use crate::hal::{BridgeCommand, Sample};
 use crate::motor::MotorParameters;
-use crate::trajectory::{Reference, Shape};
+use crate::trajectory::Shape;
 
 /// Version of the messages: both sides must have the same.
 pub const VERSION: u32 = 1;
@@ -156,36 +158,44 @@ impl Setup {
     }
 }
 
-/// The host's message of a period.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Request {
-    /// Commanded speed (rad/s).
-    pub target: f32,
-    /// What the board measured.
-    pub sample: Sample<f32>,
+/// What the host asks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Question {
+    /// A period: the sample's words follow. Answered by a [`Reply`].
+    Sample = 0,
+    /// A period with a new commanded speed (rad/s), whose word comes ahead of the sample's. Answered by a [`Reply`].
+    TargetAndSample = 1,
+    /// What the last period did. Answered by a [`Record`].
+    Record = 2,
 }
 
-impl Request {
-    /// Words of a request.
-    pub const WORDS: usize = 4;
-
-    /// As words.
-    pub fn to_words(&self) -> [u32; Self::WORDS] {
-        let Self { target, sample: Sample { speed, current, bus_voltage } } = *self;
-        [target, speed, current, bus_voltage].map(f32::to_bits)
-    }
-
-    /// From words.
-    pub fn from_words(words: [u32; Self::WORDS]) -> Self {
-        let [target, speed, current, bus_voltage] = words.map(f32::from_bits);
-        Self { target, sample: Sample { speed, current, bus_voltage } }
+impl Question {
+    /// The question behind a byte.
+    pub fn from_byte(byte: u8) -> Option<Self> {
+        [Self::Sample, Self::TargetAndSample, Self::Record]
+            .into_iter()
+            .find(|question| *question as u8 == byte)
     }
 }
 
-/// The drive's message of a period.
+/// Words of a sample.
+pub const SAMPLE_WORDS: usize = 3;
+
+/// A sample as words.
+pub fn sample_to_words(sample: &Sample<f32>) -> [u32; SAMPLE_WORDS] {
+    [sample.speed, sample.current, sample.bus_voltage].map(f32::to_bits)
+}
+
+/// A sample from words.
+pub fn sample_from_words(words: [u32; SAMPLE_WORDS]) -> Sample<f32> {
+    let [speed, current, bus_voltage] = words.map(f32::from_bits);
+    Sample { speed, current, bus_voltage }
+}
+
+/// What a period did, in full.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Reply {
-    /// What the bridge shall do.
+pub struct Record {
+    /// What the bridge was told.
     pub command: BridgeCommand<f32>,
     /// The mode after the period.
     pub mode: Mode,
@@ -203,13 +213,11 @@ const MODES: [Mode; 7] = [
     Mode::Faulted(Fault::BusOvervoltage),
 ];
 
-/// Bit of a reply's first word that says that there is a duty.
+/// Bit of a record's first word that says that there is a duty.
 const DRIVEN: u32 = 1 << 8;
-/// Bit of a reply's first word that says that there is telemetry.
-const RECORDED: u32 = 1 << 9;
 
-impl Reply {
-    /// Words of a reply.
+impl Record {
+    /// Words of a record.
     pub const WORDS: usize = 13;
 
     /// What each word is, in order.
@@ -229,14 +237,13 @@ impl Reply {
         "load torque",
     ];
 
-    /// As words.
+    /// As words: the mode, with a bit for a driven bridge, the duty, and the telemetry (zeros for none).
     pub fn to_words(&self) -> [u32; Self::WORDS] {
         let mode = MODES.iter().position(|mode| *mode == self.mode).unwrap_or_default() as u32;
         let (driven, duty) = match self.command {
             BridgeCommand::Off => (0, 0.0),
             BridgeCommand::Duty(duty) => (DRIVEN, duty),
         };
-        let recorded = if self.telemetry.is_some() { RECORDED } else { 0 };
         let [r0, r1, r2, s0, s1, s2, s3, voltage, y1, y2, load_torque] = match &self.telemetry {
             None => [0.0; 11],
             Some(Telemetry { reference, signals, voltage, sliding_variables, load_torque }) => [
@@ -254,48 +261,52 @@ impl Reply {
             ],
         }
         .map(f32::to_bits);
-        let first = mode | driven | recorded;
+        let first = mode | driven;
         [first, duty.to_bits(), r0, r1, r2, s0, s1, s2, s3, voltage, y1, y2, load_torque]
     }
 
-    /// From words; nothing if the first stands for nothing.
-    pub fn from_words(words: [u32; Self::WORDS]) -> Option<Self> {
-        let [first, ..] = words;
-        let [
-            _,
-            duty,
-            speed,
-            acceleration,
-            jerk,
-            z1,
-            z2,
-            disturbance,
-            wanted,
-            voltage,
-            y1,
-            y2,
-            load_torque,
-        ] = words.map(f32::from_bits);
-        let mode = *MODES.get((first & !(DRIVEN | RECORDED)) as usize)?;
-        let telemetry = Telemetry {
-            reference: Reference { speed, acceleration, jerk },
-            signals: Signals { z1, z2, disturbance, voltage: wanted },
-            voltage,
-            sliding_variables: [y1, y2],
-            load_torque,
-        };
-        let driven = first & DRIVEN != 0;
-        Some(Self {
-            command: if driven { BridgeCommand::Duty(duty) } else { BridgeCommand::Off },
-            mode,
-            telemetry: (first & RECORDED != 0).then_some(telemetry),
-        })
+    /// The drive's answer to a period.
+    pub fn reply(&self) -> Reply {
+        let words = self.to_words();
+        let [mode, duty, ..] = words;
+        Reply { mode, duty, digest: digest(&words) }
     }
+}
+
+/// The drive's answer to a period: the first words of its record, and a digest of all.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Reply {
+    mode: u32,
+    duty: u32,
+    digest: u32,
+}
+
+impl Reply {
+    /// Words of a reply.
+    pub const WORDS: usize = 3;
+
+    /// As words.
+    pub fn to_words(&self) -> [u32; Self::WORDS] {
+        [self.mode, self.duty, self.digest]
+    }
+
+    /// From words.
+    pub fn from_words(words: [u32; Self::WORDS]) -> Self {
+        let [mode, duty, digest] = words;
+        Self { mode, duty, digest }
+    }
+}
+
+/// FNV-1a, word by word.
+fn digest(words: &[u32]) -> u32 {
+    words.iter().fold(0x811c_9dc5, |hash, word| (hash ^ word).wrapping_mul(0x0100_0193))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::control::Signals;
+    use crate::trajectory::Reference;
 
     fn config(law: Law, form: Form, start: Start, shape: Shape, delay: bool) -> DriveConfig {
         DriveConfig {
@@ -328,10 +339,21 @@ mod tests {
     }
 
     #[test]
-    fn request_and_reply_survive_the_journey() {
+    fn sample_and_question_survive_the_journey() {
         let sample = Sample { speed: -1.5, current: 2.5, bus_voltage: 24.0 };
-        let request = Request { target: 7.0, sample };
-        assert_eq!(Request::from_words(request.to_words()), request);
+        assert_eq!(sample_from_words(sample_to_words(&sample)), sample);
+        for question in [Question::Sample, Question::TargetAndSample, Question::Record] {
+            assert_eq!(Question::from_byte(question as u8), Some(question));
+        }
+        assert_eq!(Question::from_byte(3), None);
+        for verdict in [Verdict::Accepted, Verdict::WrongVersion, Verdict::Refused] {
+            assert_eq!(Verdict::from_word(verdict as u32), Some(verdict));
+        }
+        assert_eq!(Verdict::from_word(3), None);
+    }
+
+    #[test]
+    fn every_bit_of_a_record_shows_in_its_reply() {
         let telemetry = Telemetry {
             reference: Reference { speed: 1.0, acceleration: 2.0, jerk: 3.0 },
             signals: Signals { z1: 4.0, z2: 5.0, disturbance: 6.0, voltage: 7.0 },
@@ -339,17 +361,28 @@ mod tests {
             sliding_variables: [9.0, 10.0],
             load_torque: 11.0,
         };
-        for mode in MODES {
-            for telemetry in [None, Some(telemetry)] {
-                for command in [BridgeCommand::Off, BridgeCommand::Duty(-0.25)] {
-                    let reply = Reply { command, mode, telemetry };
-                    assert_eq!(Reply::from_words(reply.to_words()), Some(reply));
-                }
+        let record = Record {
+            command: BridgeCommand::Duty(-0.25),
+            mode: Mode::Running,
+            telemetry: Some(telemetry),
+        };
+        let words = record.to_words();
+        let numbers = words.map(f32::from_bits);
+        assert_eq!(numbers[1], -0.25);
+        assert_eq!(numbers[2..], [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0]);
+        for index in 0..Record::WORDS {
+            for bit in 0..32 {
+                let mut other = words;
+                other[index] ^= 1 << bit;
+                assert_ne!(digest(&other), digest(&words), "word {index}, bit {bit}");
             }
         }
-        let mut broken =
-            Reply { command: BridgeCommand::Off, mode: Mode::Off, telemetry: None }.to_words();
-        broken[0] = 99;
-        assert_eq!(Reply::from_words(broken), None);
+        let modes = MODES.map(|mode| Record { mode, ..record }.to_words()[0]);
+        for (index, mode) in modes.iter().enumerate() {
+            assert_eq!(modes.iter().position(|other| other == mode), Some(index), "modes differ");
+        }
+        let off = Record { command: BridgeCommand::Off, ..record };
+        assert_ne!(off.to_words()[0], words[0]);
+        assert_eq!(Reply::from_words(record.reply().to_words()), record.reply());
     }
 }

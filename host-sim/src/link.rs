@@ -5,7 +5,7 @@ use crate::qemu::{Qemu, QemuError};
 use quasidrive::config::ConfigError;
 use quasidrive::drive::{Drive, DriveConfig, Mode, Refusal, Telemetry};
 use quasidrive::hal::{BridgeCommand, Sample};
-use quasidrive::protocol::Reply;
+use quasidrive::protocol::Record;
 
 /// What a drive did in a period.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -61,78 +61,87 @@ impl<S: SimulatedScalar> Link<S> for Local<S> {
     }
 }
 
-impl Link<f32> for Qemu {
-    fn exchange(&mut self, target: f32, sample: &Sample<f32>) -> Result<Period<f32>, LinkError> {
-        let Reply { command, mode, telemetry } = self.period(target, sample)?;
-        Ok(Period { command, mode, telemetry })
-    }
-}
-
 /// The drive here and in QEMU, held to the same bits in every period.
 pub struct LockStep {
     host: Local<f32>,
     target: Qemu,
+    commanded: Option<f32>,
     period: u64,
 }
 
 impl LockStep {
     /// Both must have been built from the same configuration.
     pub fn new(host: Local<f32>, target: Qemu) -> Self {
-        Self { host, target, period: 0 }
+        Self { host, target, commanded: None, period: 0 }
     }
 }
 
 impl Link<f32> for LockStep {
     fn exchange(&mut self, target: f32, sample: &Sample<f32>) -> Result<Period<f32>, LinkError> {
-        let host = self.host.exchange(target, sample)?;
-        let there = self.target.exchange(target, sample)?;
-        Difference::find(self.period, &host, &there).map_or(Ok(()), Err)?;
+        let new = self.commanded.replace(target) != Some(target);
+        let reply = self.target.period(new.then_some(target), sample)?;
+        let period = self.host.exchange(target, sample)?;
+        let Period { command, mode, telemetry } = period;
+        let record = Record { command, mode, telemetry };
+        if reply != record.reply() {
+            let there = self.target.record()?;
+            return Err(Difference::find(self.period, record.to_words(), there).into());
+        }
         self.period += 1;
-        Ok(host)
+        Ok(period)
     }
 }
 
-/// The first bit that differs between host and target.
+/// The first signal that differs between host and target.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error("period {period}: {signal} differs: host {host:#010x} ({}), target {target:#010x} ({})", f32::from_bits(*host), f32::from_bits(*target))]
-pub struct Difference {
-    period: u64,
-    signal: &'static str,
-    host: u32,
-    target: u32,
+pub enum Difference {
+    /// A signal.
+    #[error(
+        "period {period}: {signal} differs: host {host:#010x} ({}), target {target:#010x} ({})",
+        f32::from_bits(*host),
+        f32::from_bits(*target)
+    )]
+    Signal {
+        /// Periods before.
+        period: u64,
+        /// Its name.
+        signal: &'static str,
+        /// Its bits here.
+        host: u32,
+        /// Its bits there.
+        target: u32,
+    },
+    /// None: the digests differ, the records do not.
+    #[error("period {0}: the target's reply does not fit its record")]
+    Reply(u64),
 }
 
 impl Difference {
-    fn find(period: u64, host: &Period<f32>, target: &Period<f32>) -> Option<Self> {
-        let words = |&Period { command, mode, telemetry }: &Period<f32>| {
-            Reply { command, mode, telemetry }.to_words()
-        };
-        let pairs = words(host).into_iter().zip(words(target)).zip(Reply::NAMES);
-        let mut differing = pairs.filter(|((host, target), _)| host != target);
-        let ((host, target), signal) = differing.next()?;
-        Some(Self { period, signal, host, target })
+    fn find(period: u64, host: [u32; Record::WORDS], target: [u32; Record::WORDS]) -> Self {
+        let mut pairs = host.into_iter().zip(target).zip(Record::NAMES);
+        match pairs.find(|((host, target), _)| host != target) {
+            Some(((host, target), signal)) => Self::Signal { period, signal, host, target },
+            None => Self::Reply(period),
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use quasidrive::protocol::Reply;
-
-    fn period(duty: f32) -> Period<f32> {
-        Period { command: BridgeCommand::Duty(duty), mode: Mode::Running, telemetry: None }
-    }
 
     #[test]
-    fn equal_bits_are_no_difference_and_one_bit_is() {
-        assert_eq!(Difference::find(3, &period(0.5), &period(0.5)), None);
-        let next = f32::from_bits(0.5_f32.to_bits() + 1);
-        let difference = Difference::find(3, &period(0.5), &period(next)).expect("one bit");
+    fn the_first_differing_signal_is_told_with_its_bits() {
+        let words =
+            Record { command: BridgeCommand::Duty(0.5), mode: Mode::Running, telemetry: None }
+                .to_words();
+        let mut other = words;
+        other[1] += 1;
+        other[5] = 7;
         assert_eq!(
-            difference.to_string(),
+            Difference::find(3, words, other).to_string(),
             "period 3: duty differs: host 0x3f000000 (0.5), target 0x3f000001 (0.50000006)"
         );
-        assert!(Difference::find(0, &period(0.0), &period(-0.0)).is_some(), "signs of zero count");
-        assert_eq!(Reply::NAMES.len(), Reply::WORDS);
+        assert_eq!(Difference::find(3, words, words), Difference::Reply(3));
     }
 }

@@ -5,7 +5,9 @@
 
 use quasidrive::drive::DriveConfig;
 use quasidrive::hal::Sample;
-use quasidrive::protocol::{MAGIC, Reply, Request, Setup, VERSION, Verdict};
+use quasidrive::protocol::{
+    MAGIC, Question, Record, Reply, Setup, VERSION, Verdict, sample_to_words,
+};
 use std::io::{ErrorKind, Read, Write};
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
@@ -14,6 +16,9 @@ use std::time::{Duration, Instant};
 
 /// How long QEMU may take to start, and then to answer, if nothing else is said. A period takes it half a millisecond.
 pub const PATIENCE: Duration = Duration::from_secs(10);
+
+const SETTING_UP: &str = "while setting up";
+const RUNNING: &str = "while running";
 
 /// Why QEMU did not do as a drive.
 #[derive(Debug, thiserror::Error)]
@@ -49,7 +54,7 @@ pub enum QemuError {
         when: &'static str,
     },
     /// What answers does not speak the protocol.
-    #[error("QEMU's firmware does not answer as a drive (first word {0:#010x})")]
+    #[error("QEMU's firmware does not answer as a drive ({0:#010x})")]
     NotADrive(u32),
     /// The firmware speaks another version.
     #[error(
@@ -59,9 +64,6 @@ pub enum QemuError {
     /// The firmware refused the configuration.
     #[error("QEMU's firmware refused the drive's configuration")]
     SetupRefused,
-    /// A reply makes no sense.
-    #[error("QEMU's firmware sent a reply that makes no sense (first word {0:#010x})")]
-    BadReply(u32),
 }
 
 /// What to start.
@@ -132,17 +134,16 @@ impl Qemu {
         patience: Duration,
         config: &DriveConfig,
     ) -> Result<Self, QemuError> {
-        stream.set_read_timeout(Some(patience)).map_err(QemuError::NoQemu)?;
+        stream.set_nonblocking(true).map_err(QemuError::NoQemu)?;
         let mut qemu = Self { process, stream, patience };
         qemu.set_up(config)?;
         Ok(qemu)
     }
 
     fn set_up(&mut self, config: &DriveConfig) -> Result<(), QemuError> {
-        const WHEN: &str = "while setting up";
-        self.send(&[MAGIC, VERSION], WHEN)?;
-        self.send(&Setup(*config).to_words(), WHEN)?;
-        let [magic, version, verdict] = self.receive(WHEN)?;
+        self.send(&[MAGIC, VERSION], SETTING_UP)?;
+        self.send(&Setup(*config).to_words(), SETTING_UP)?;
+        let [magic, version, verdict] = self.receive(SETTING_UP)?;
         if magic != MAGIC {
             return Err(QemuError::NotADrive(magic));
         }
@@ -153,33 +154,77 @@ impl Qemu {
             Some(Verdict::Accepted) => Ok(()),
             Some(Verdict::WrongVersion) => Err(QemuError::WrongVersion(version)),
             Some(Verdict::Refused) => Err(QemuError::SetupRefused),
-            None => Err(QemuError::BadReply(verdict)),
+            None => Err(QemuError::NotADrive(verdict)),
         }
     }
 
-    /// One period.
-    pub fn period(&mut self, target: f32, sample: &Sample<f32>) -> Result<Reply, QemuError> {
-        const WHEN: &str = "while running";
-        self.send(&Request { target, sample: *sample }.to_words(), WHEN)?;
-        let words: [u32; Reply::WORDS] = self.receive(WHEN)?;
-        Reply::from_words(words).ok_or(QemuError::BadReply(words[0]))
+    /// One period, with a new commanded speed (rad/s) if there is one.
+    pub fn period(
+        &mut self,
+        target: Option<f32>,
+        sample: &Sample<f32>,
+    ) -> Result<Reply, QemuError> {
+        let question = match target {
+            Some(_) => Question::TargetAndSample,
+            None => Question::Sample,
+        };
+        let words: Vec<u32> =
+            target.map(f32::to_bits).into_iter().chain(sample_to_words(sample)).collect();
+        self.ask(question, &words, RUNNING)?;
+        Ok(Reply::from_words(self.receive(RUNNING)?))
+    }
+
+    /// The words of the last period's [`Record`].
+    pub fn record(&mut self) -> Result<[u32; Record::WORDS], QemuError> {
+        self.ask(Question::Record, &[], RUNNING)?;
+        self.receive(RUNNING)
+    }
+
+    fn ask(
+        &mut self,
+        question: Question,
+        words: &[u32],
+        when: &'static str,
+    ) -> Result<(), QemuError> {
+        let words = words.iter().flat_map(|word| word.to_le_bytes());
+        self.send_bytes(&std::iter::once(question as u8).chain(words).collect::<Vec<u8>>(), when)
     }
 
     fn send(&mut self, words: &[u32], when: &'static str) -> Result<(), QemuError> {
-        let bytes: Vec<u8> = words.iter().flat_map(|word| word.to_le_bytes()).collect();
-        self.stream.write_all(&bytes).map_err(|error| self.failure(error, when))
+        self.send_bytes(
+            &words.iter().flat_map(|word| word.to_le_bytes()).collect::<Vec<u8>>(),
+            when,
+        )
+    }
+
+    fn send_bytes(&mut self, bytes: &[u8], when: &'static str) -> Result<(), QemuError> {
+        self.stream.write_all(bytes).map_err(|error| self.failure(error, when))
     }
 
     fn receive<const N: usize>(&mut self, when: &'static str) -> Result<[u32; N], QemuError> {
         let mut bytes = [[0; 4]; N];
-        let read = self.stream.read_exact(bytes.as_flattened_mut());
-        read.map_err(|error| self.failure(error, when))?;
+        self.read_exact(bytes.as_flattened_mut()).map_err(|error| self.failure(error, when))?;
         Ok(bytes.map(u32::from_le_bytes))
+    }
+
+    /// Waits awake: put to sleep for every byte, this side and QEMU would take five times as long between them.
+    fn read_exact(&mut self, mut rest: &mut [u8]) -> std::io::Result<()> {
+        let start = Instant::now();
+        while !rest.is_empty() {
+            match self.stream.read(rest) {
+                Ok(0) => return Err(ErrorKind::UnexpectedEof.into()),
+                Ok(count) => rest = &mut rest[count..],
+                Err(error) if error.kind() != ErrorKind::WouldBlock => return Err(error),
+                Err(error) if start.elapsed() > self.patience => return Err(error),
+                Err(_) => std::hint::spin_loop(),
+            }
+        }
+        Ok(())
     }
 
     /// What a failed read or write means.
     fn failure(&mut self, error: std::io::Error, when: &'static str) -> QemuError {
-        if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) {
+        if error.kind() == ErrorKind::WouldBlock {
             return QemuError::Late { waited: self.patience, when };
         }
         // A closed socket: give the process a moment to be seen as ended.
@@ -198,10 +243,7 @@ fn accept(
     let start = Instant::now();
     while start.elapsed() < patience {
         match listener.accept() {
-            Ok((stream, _)) => {
-                stream.set_nonblocking(false).map_err(QemuError::NoQemu)?;
-                return Ok(stream);
-            }
+            Ok((stream, _)) => return Ok(stream),
             Err(error) if error.kind() == ErrorKind::WouldBlock => {}
             Err(error) => return Err(QemuError::NoQemu(error)),
         }
@@ -264,9 +306,9 @@ mod tests {
     fn against(answers: Vec<Vec<u32>>, stays: bool) -> Result<Qemu, QemuError> {
         let (here, mut there) = UnixStream::pair().expect("a socket pair");
         std::thread::spawn(move || {
-            for words in answers {
-                let mut request = [0; 4];
-                let _ = there.read_exact(&mut request);
+            for (number, words) in answers.iter().enumerate() {
+                let question = if number == 0 { 4 * (2 + Setup::WORDS) } else { 1 };
+                let _ = there.read_exact(&mut vec![0; question]);
                 let bytes: Vec<u8> = words.iter().flat_map(|word| word.to_le_bytes()).collect();
                 let _ = there.write_all(&bytes);
             }
@@ -284,10 +326,13 @@ mod tests {
 
     #[test]
     fn a_drive_that_answers_is_used() {
-        let reply =
-            Reply { command: BridgeCommand::Duty(0.5), mode: Mode::Running, telemetry: None };
-        let mut qemu = against(vec![accepted(), reply.to_words().to_vec()], true).expect("set up");
-        assert_eq!(qemu.period(1.0, &SAMPLE).expect("a reply"), reply);
+        let command = BridgeCommand::Duty(0.5);
+        let record = Record { command, mode: Mode::Running, telemetry: None };
+        let answers =
+            vec![accepted(), record.reply().to_words().to_vec(), record.to_words().to_vec()];
+        let mut qemu = against(answers, true).expect("set up");
+        assert_eq!(qemu.period(Some(1.0), &SAMPLE).expect("a reply"), record.reply());
+        assert_eq!(qemu.record().expect("a record"), record.to_words());
     }
 
     #[test]
@@ -297,21 +342,19 @@ mod tests {
         assert!(matches!(error(vec![7, VERSION, 0]), QemuError::NotADrive(7)));
         assert!(matches!(error(vec![MAGIC, other, 1]), QemuError::WrongVersion(v) if v == other));
         assert!(matches!(error(vec![MAGIC, VERSION, 2]), QemuError::SetupRefused));
-        assert!(matches!(error(vec![MAGIC, VERSION, 9]), QemuError::BadReply(9)));
+        assert!(matches!(error(vec![MAGIC, VERSION, 9]), QemuError::NotADrive(9)));
         assert!(matches!(error(vec![MAGIC]), QemuError::Late { .. }), "a short read");
     }
 
     #[test]
-    fn a_lost_or_late_or_confused_drive_is_an_error() {
+    fn a_lost_or_late_drive_is_an_error() {
         let period = |answers, stays| {
             let mut qemu = against(answers, stays).expect("set up");
-            qemu.period(1.0, &SAMPLE).expect_err("no reply")
+            qemu.period(None, &SAMPLE).expect_err("no reply")
         };
         assert!(matches!(period(vec![accepted()], true), QemuError::Late { .. }));
-        let lost = period(vec![accepted(), vec![1, 2, 3]], false);
-        assert!(matches!(lost, QemuError::Lost { .. }), "{lost}");
-        let nonsense = period(vec![accepted(), vec![99; Reply::WORDS]], true);
-        assert!(matches!(nonsense, QemuError::BadReply(99)));
+        let short = period(vec![accepted(), vec![1, 2]], false);
+        assert!(matches!(short, QemuError::Lost { .. }), "{short}");
     }
 
     #[test]

@@ -9,7 +9,7 @@
 
 use crate::drive::Drive;
 use crate::hal::{Board, BridgeCommand, Sample};
-use crate::protocol::{MAGIC, Reply, Request, Setup, VERSION, Verdict};
+use crate::protocol::{MAGIC, Question, Record, Setup, VERSION, Verdict, sample_from_words};
 use core::cell::UnsafeCell;
 use cortex_m::peripheral::NVIC;
 use cortex_m_rt::exception;
@@ -128,18 +128,35 @@ impl Board<f32> for Exchange {
 struct Loop {
     drive: Drive<f32>,
     serial: Serial,
+    pacer: Pacer,
+    record: Record,
 }
 
 impl Loop {
-    /// One period.
+    /// One period: answers the host's questions up to and including its sample.
     fn period(&mut self) {
-        let Request { target, sample } = Request::from_words(self.serial.read());
-        // A refused command leaves the former one; the host sees the reference in the reply.
-        let _ = self.drive.set_speed(target);
+        loop {
+            match Question::from_byte(self.serial.read_byte()) {
+                Some(Question::Record) => self.serial.write(self.record.to_words()),
+                Some(Question::Sample) => break,
+                Some(Question::TargetAndSample) => {
+                    let [target] = self.serial.read().map(f32::from_bits);
+                    // A refused command leaves the former one; the host sees the reference in the record.
+                    let _ = self.drive.set_speed(target);
+                    break;
+                }
+                None => stop(),
+            }
+        }
+        let sample = sample_from_words(self.serial.read());
         let mut board = Exchange { sample, command: BridgeCommand::Off };
         self.drive.run_period(&mut board);
-        let (mode, telemetry) = (self.drive.mode(), self.drive.telemetry());
-        self.serial.write(Reply { command: board.command, mode, telemetry }.to_words());
+        self.record = Record {
+            command: board.command,
+            mode: self.drive.mode(),
+            telemetry: self.drive.telemetry(),
+        };
+        self.serial.write(self.record.reply().to_words());
     }
 }
 
@@ -154,15 +171,17 @@ static LOOP: HandedOver = HandedOver(UnsafeCell::new(None));
 /// Waits for a host's [`Setup`], then runs the drive that it describes from the timer's interrupt.
 pub fn run() -> ! {
     let mut serial = Serial::start();
-    let drive = loop {
-        if let Some(drive) = set_up(&mut serial) {
-            break drive;
+    let (drive, rate) = loop {
+        if let Some(accepted) = set_up(&mut serial) {
+            break accepted;
         }
     };
-    let (drive, rate) = drive;
+    let record = Record { command: BridgeCommand::Off, mode: drive.mode(), telemetry: None };
+    let pacer = Pacer::new(rate);
+    pacer.start();
     // SAFETY: the timer's interrupt, the only other user, is still masked.
-    unsafe { *LOOP.0.get() = Some(Loop { drive, serial }) };
-    start_timer(rate);
+    unsafe { *LOOP.0.get() = Some(Loop { drive, serial, pacer, record }) };
+    enable_interrupt();
     loop {
         cortex_m::asm::wfi();
     }
@@ -192,16 +211,35 @@ fn set_up(serial: &mut Serial) -> Option<(Drive<f32>, f32)> {
     built
 }
 
-/// Starts the timer's interrupt at `rate` (Hz).
-fn start_timer(rate: f32) {
+/// The timer that stands for the PWM timer.
+struct Pacer {
+    /// Clock cycles in a period.
+    cycles: u32,
+}
+
+impl Pacer {
     const CONTROL: usize = 0;
     const VALUE: usize = 1;
     const RELOAD: usize = 2;
+    const INTERRUPT_CLEAR: usize = 3;
     const ENABLE_WITH_INTERRUPT: u32 = 1 << 0 | 1 << 3;
-    let reload = (CLOCK / rate) as u32;
-    TIMER0.write(RELOAD, reload.saturating_sub(1));
-    TIMER0.write(VALUE, reload.saturating_sub(1));
-    TIMER0.write(CONTROL, ENABLE_WITH_INTERRUPT);
+
+    /// For a rate (Hz).
+    fn new(rate: f32) -> Self {
+        Self { cycles: (CLOCK / rate) as u32 }
+    }
+
+    /// Starts a period. The timer counts it down once: while the host plays the motor, no further periods pass.
+    fn start(&self) {
+        TIMER0.write(Self::INTERRUPT_CLEAR, 1);
+        TIMER0.write(Self::RELOAD, 0);
+        TIMER0.write(Self::VALUE, self.cycles);
+        TIMER0.write(Self::CONTROL, Self::ENABLE_WITH_INTERRUPT);
+    }
+}
+
+/// Enables the timer's interrupt.
+fn enable_interrupt() {
     // SAFETY: all that the handler uses is in place. The timer's priority is lowered below the serial port's, whose
     // interrupt must be able to wake the handler's wait for a byte.
     unsafe {
@@ -213,10 +251,9 @@ fn start_timer(rate: f32) {
 
 /// The PWM-rate interrupt.
 extern "C" fn timer0() {
-    const INTERRUPT_CLEAR: usize = 3;
-    TIMER0.write(INTERRUPT_CLEAR, 1);
     // SAFETY: since the interrupt is enabled, it is the only user, and it does not nest.
     if let Some(control_loop) = unsafe { &mut *LOOP.0.get() } {
+        control_loop.pacer.start();
         control_loop.period();
     }
 }
