@@ -62,21 +62,21 @@ impl<S: SimulatedScalar> Link<S> for Local<S> {
 }
 
 /// The drive here and in QEMU, held to the same bits in every period.
-pub struct LockStep {
+pub struct LockStep<'a> {
     host: Local<f32>,
-    target: Qemu,
+    target: Qemu<'a>,
     commanded: Option<f32>,
     period: u64,
 }
 
-impl LockStep {
+impl<'a> LockStep<'a> {
     /// Both must have been built from the same configuration.
-    pub fn new(host: Local<f32>, target: Qemu) -> Self {
+    pub fn new(host: Local<f32>, target: Qemu<'a>) -> Self {
         Self { host, target, commanded: None, period: 0 }
     }
 }
 
-impl Link<f32> for LockStep {
+impl Link<f32> for LockStep<'_> {
     fn exchange(&mut self, target: f32, sample: &Sample<f32>) -> Result<Period<f32>, LinkError> {
         let new = self.commanded.replace(target) != Some(target);
         let reply = self.target.period(new.then_some(target), sample)?;

@@ -16,6 +16,9 @@ use serde::Serialize;
 use std::io::{ErrorKind, Write, stdout};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::Once;
+use std::sync::atomic::AtomicBool;
+use std::sync::atomic::Ordering::Relaxed;
 
 /// Plays scenarios: quasidrive's speed loop against a simulated brushed DC motor.
 ///
@@ -275,6 +278,7 @@ fn play(file: &Path, overrides: &Overrides, csv: Option<&Path>) -> Result<RunRep
                 machine: overrides.machine.name(),
                 image: &overrides.image,
                 patience: PATIENCE,
+                interrupted: interruption()?,
             };
             let target = Qemu::start(&emulator, &config).map_err(LinkError::from)?;
             simulate_on(&mut LockStep::new(host, target), &scenario, each)?
@@ -294,6 +298,16 @@ fn play(file: &Path, overrides: &Overrides, csv: Option<&Path>) -> Result<RunRep
         rows.flush().context("cannot write the CSV file")?;
     }
     Ok(RunReport::new(file, &scenario, overrides, outcome))
+}
+
+/// Becomes true when the process is asked to end, so that it can take QEMU with it.
+fn interruption() -> Result<&'static AtomicBool> {
+    static INTERRUPTED: AtomicBool = AtomicBool::new(false);
+    static HANDLER: Once = Once::new();
+    let mut set = Ok(());
+    HANDLER.call_once(|| set = ctrlc::set_handler(|| INTERRUPTED.store(true, Relaxed)));
+    set.context("cannot listen for interruptions")?;
+    Ok(&INTERRUPTED)
 }
 
 /// A progress bar on a terminal; nothing in a pipe.

@@ -12,6 +12,8 @@ use std::io::{ErrorKind, Read, Write};
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::sync::atomic::AtomicBool;
+use std::sync::atomic::Ordering::Relaxed;
 use std::time::{Duration, Instant};
 
 /// How long QEMU may take to start, and then to answer, if nothing else is said. A period takes it half a millisecond.
@@ -45,6 +47,9 @@ pub enum QemuError {
         /// For what.
         when: &'static str,
     },
+    /// Somebody wants the run to end.
+    #[error("interrupted")]
+    Interrupted,
     /// The connection broke.
     #[error("lost QEMU {when}: {error}")]
     Lost {
@@ -77,13 +82,16 @@ pub struct Emulator<'a> {
     pub image: &'a Path,
     /// How long QEMU may take to start, and then to answer.
     pub patience: Duration,
+    /// Ends the waiting when it becomes true.
+    pub interrupted: &'a AtomicBool,
 }
 
 /// A running QEMU whose firmware is a drive.
-pub struct Qemu {
+pub struct Qemu<'a> {
     process: Process,
     stream: UnixStream,
     patience: Duration,
+    interrupted: &'a AtomicBool,
 }
 
 /// A child process that is killed when dropped.
@@ -97,10 +105,10 @@ impl Drop for Process {
     }
 }
 
-impl Qemu {
+impl<'a> Qemu<'a> {
     /// Starts QEMU and makes it the drive of `config`.
-    pub fn start(emulator: &Emulator, config: &DriveConfig) -> Result<Self, QemuError> {
-        let &Emulator { program, machine, image, patience } = emulator;
+    pub fn start(emulator: &Emulator<'a>, config: &DriveConfig) -> Result<Self, QemuError> {
+        let &Emulator { program, machine, image, .. } = emulator;
         if !image.is_file() {
             return Err(QemuError::NoImage(image.to_owned()));
         }
@@ -123,19 +131,19 @@ impl Qemu {
             .spawn()
             .map_err(QemuError::NoQemu)?;
         let mut process = Process(child);
-        let stream = accept(&listener, &mut process, patience)?;
-        Self::on(stream, process, patience, config)
+        let stream = accept(&listener, &mut process, emulator)?;
+        Self::on(stream, process, emulator, config)
     }
 
     /// Makes whoever is at the other end of `stream` the drive of `config`.
     fn on(
         stream: UnixStream,
         process: Process,
-        patience: Duration,
+        &Emulator { patience, interrupted, .. }: &Emulator<'a>,
         config: &DriveConfig,
     ) -> Result<Self, QemuError> {
         stream.set_nonblocking(true).map_err(QemuError::NoQemu)?;
-        let mut qemu = Self { process, stream, patience };
+        let mut qemu = Self { process, stream, patience, interrupted };
         qemu.set_up(config)?;
         Ok(qemu)
     }
@@ -216,6 +224,7 @@ impl Qemu {
                 Ok(count) => rest = &mut rest[count..],
                 Err(error) if error.kind() != ErrorKind::WouldBlock => return Err(error),
                 Err(error) if start.elapsed() > self.patience => return Err(error),
+                Err(_) if self.interrupted.load(Relaxed) => return Err(interrupted()),
                 Err(_) => std::hint::spin_loop(),
             }
         }
@@ -224,6 +233,9 @@ impl Qemu {
 
     /// What a failed read or write means.
     fn failure(&mut self, error: std::io::Error, when: &'static str) -> QemuError {
+        if error.kind() == ErrorKind::Interrupted {
+            return QemuError::Interrupted;
+        }
         if error.kind() == ErrorKind::WouldBlock {
             return QemuError::Late { waited: self.patience, when };
         }
@@ -237,7 +249,7 @@ impl Qemu {
 fn accept(
     listener: &UnixListener,
     process: &mut Process,
-    patience: Duration,
+    &Emulator { patience, interrupted, .. }: &Emulator,
 ) -> Result<UnixStream, QemuError> {
     listener.set_nonblocking(true).map_err(QemuError::NoQemu)?;
     let start = Instant::now();
@@ -250,9 +262,16 @@ fn accept(
         if let Some(ended) = ended(process) {
             return Err(ended);
         }
+        if interrupted.load(Relaxed) {
+            return Err(QemuError::Interrupted);
+        }
         std::thread::sleep(Duration::from_millis(5));
     }
     Err(QemuError::Late { waited: patience, when: "to connect" })
+}
+
+fn interrupted() -> std::io::Error {
+    ErrorKind::Interrupted.into()
 }
 
 /// The error of a process that has ended, with what it said.
@@ -271,9 +290,9 @@ struct Folder(PathBuf);
 
 impl Folder {
     fn new() -> std::io::Result<Self> {
-        use std::sync::atomic::{AtomicU64, Ordering};
+        use std::sync::atomic::AtomicU64;
         static COUNT: AtomicU64 = AtomicU64::new(0);
-        let count = COUNT.fetch_add(1, Ordering::Relaxed);
+        let count = COUNT.fetch_add(1, Relaxed);
         let name = format!("quasidrive-{}-{count}", std::process::id());
         let folder = std::env::temp_dir().join(name);
         std::fs::create_dir(&folder)?;
@@ -297,13 +316,29 @@ mod tests {
 
     const SAMPLE: Sample<f32> = Sample { speed: 1.0, current: 2.0, bus_voltage: 24.0 };
 
+    static NEVER: AtomicBool = AtomicBool::new(false);
+
+    fn emulator<'a>(
+        program: &'a str,
+        image: &'a Path,
+        interrupted: &'a AtomicBool,
+    ) -> Emulator<'a> {
+        Emulator {
+            program: Path::new(program),
+            machine: "mps2-an386",
+            image,
+            patience: Duration::from_millis(300),
+            interrupted,
+        }
+    }
+
     fn sleeper() -> Process {
         Process(Command::new("sleep").arg("60").spawn().expect("sleep"))
     }
 
     /// A connection to a thread that answers with `words`, one message after the other, and then hangs up, or stays
     /// silent where `stays` says so.
-    fn against(answers: Vec<Vec<u32>>, stays: bool) -> Result<Qemu, QemuError> {
+    fn against(answers: Vec<Vec<u32>>, stays: bool) -> Result<Qemu<'static>, QemuError> {
         let (here, mut there) = UnixStream::pair().expect("a socket pair");
         std::thread::spawn(move || {
             for (number, words) in answers.iter().enumerate() {
@@ -317,7 +352,7 @@ mod tests {
             }
         });
         let config = Scenario::paper().drive_config();
-        Qemu::on(here, sleeper(), Duration::from_millis(200), &config)
+        Qemu::on(here, sleeper(), &emulator("none", Path::new("none"), &NEVER), &config)
     }
 
     fn accepted() -> Vec<u32> {
@@ -361,18 +396,31 @@ mod tests {
     fn a_process_that_is_none_ends_or_never_connects_is_an_error() {
         let image = Path::new(env!("CARGO_MANIFEST_DIR")).join("Cargo.toml");
         let start = |program: &str, image: &Path| {
-            let emulator = Emulator {
-                program: Path::new(program),
-                machine: "mps2-an386",
-                image,
-                patience: Duration::from_millis(300),
-            };
+            let emulator = emulator(program, image, &NEVER);
             Qemu::start(&emulator, &Scenario::paper().drive_config()).err().expect("no drive")
         };
         assert!(matches!(start("no-such-qemu", &image), QemuError::NoQemu(_)));
         assert!(matches!(start("false", &image), QemuError::Ended { .. }));
         assert!(matches!(start("yes", &image), QemuError::Ended { .. } | QemuError::Late { .. }));
         assert!(matches!(start("false", Path::new("no.elf")), QemuError::NoImage(_)));
+    }
+
+    #[test]
+    fn an_interruption_ends_the_waiting() {
+        let image = Path::new(env!("CARGO_MANIFEST_DIR")).join("Cargo.toml");
+        let interrupted = AtomicBool::new(true);
+        let emulator = Emulator {
+            patience: Duration::from_secs(60),
+            ..emulator("sleep", &image, &interrupted)
+        };
+        // `sleep` does not know QEMU's options and ends; a program that stayed would be interrupted.
+        let error = Qemu::start(&emulator, &Scenario::paper().drive_config()).err().expect("none");
+        assert!(matches!(error, QemuError::Interrupted | QemuError::Ended { .. }), "{error}");
+        let mut qemu = against(vec![accepted()], true).expect("set up");
+        qemu.interrupted = &interrupted;
+        qemu.patience = Duration::from_secs(60);
+        let error = qemu.period(None, &SAMPLE).expect_err("interrupted");
+        assert!(matches!(error, QemuError::Interrupted), "{error}");
     }
 
     #[test]
