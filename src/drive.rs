@@ -209,7 +209,8 @@ impl<S: Scalar> Drive<S> {
     }
 
     /// One PWM period: from this period's sample to the bridge's command.
-    #[inline]
+    // Not inlined, for its instructions to be counted apart from its caller's.
+    #[inline(never)]
     pub fn step(&mut self, sample: &Sample<S>) -> BridgeCommand<S> {
         if self.mode != Mode::Running {
             return BridgeCommand::Off;

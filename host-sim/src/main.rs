@@ -76,6 +76,9 @@ struct Overrides {
     /// Sampling rate (Hz).
     #[arg(long, value_name = "HZ", allow_negative_numbers = true)]
     rate: Option<f64>,
+    /// Simulated time (s).
+    #[arg(long, value_name = "S", allow_negative_numbers = true)]
+    duration: Option<f64>,
     /// How the estimators are stepped.
     #[arg(long)]
     form: Option<FormName>,
@@ -91,6 +94,9 @@ struct Overrides {
     /// QEMU.
     #[arg(long, value_name = "PROGRAM", default_value = "qemu-system-arm")]
     qemu: PathBuf,
+    /// A further argument for QEMU.
+    #[arg(long, value_name = "ARGUMENT", allow_hyphen_values = true)]
+    qemu_argument: Vec<String>,
     /// QEMU's machine.
     #[arg(long, default_value = "mps2-an386")]
     machine: Machine,
@@ -251,6 +257,9 @@ fn play(file: &Path, overrides: &Overrides, csv: Option<&Path>) -> Result<RunRep
     if let Some(rate) = overrides.rate {
         scenario.timing.rate = rate;
     }
+    if let Some(duration) = overrides.duration {
+        scenario.duration = duration;
+    }
     scenario.recheck(file)?;
     let mut rows = match csv {
         Some(out) => Some(
@@ -275,6 +284,7 @@ fn play(file: &Path, overrides: &Overrides, csv: Option<&Path>) -> Result<RunRep
             let host = Local::new(&config)?;
             let emulator = Emulator {
                 program: &overrides.qemu,
+                arguments: &overrides.qemu_argument,
                 machine: overrides.machine.name(),
                 image: &overrides.image,
                 patience: PATIENCE,

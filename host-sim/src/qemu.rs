@@ -76,6 +76,8 @@ pub enum QemuError {
 pub struct Emulator<'a> {
     /// `qemu-system-arm`.
     pub program: &'a Path,
+    /// Arguments beyond those that it takes to play a drive.
+    pub arguments: &'a [String],
     /// `mps2-an386` or `mps2-an500`.
     pub machine: &'a str,
     /// The firmware's ELF.
@@ -123,6 +125,7 @@ impl<'a> Qemu<'a> {
             .args(["-accel", "tcg,thread=single"])
             .args(["-chardev", &format!("socket,id=serial,path={}", socket.display())])
             .args(["-serial", "chardev:serial"])
+            .args(emulator.arguments)
             .arg("-kernel")
             .arg(image)
             .stdin(Stdio::null())
@@ -325,6 +328,7 @@ mod tests {
     ) -> Emulator<'a> {
         Emulator {
             program: Path::new(program),
+            arguments: &[],
             machine: "mps2-an386",
             image,
             patience: Duration::from_millis(300),

@@ -85,7 +85,8 @@ impl<S: Scalar> Controller<S> {
     }
 
     /// One step: from the speed ω (rad/s), the armature current i (A) and the reference to the voltage.
-    #[inline]
+    // Not inlined, for its instructions to be counted apart from its caller's.
+    #[inline(never)]
     pub fn step(&mut self, speed: S, current: S, reference: &Reference<S>) -> Signals<S> {
         let z1 = speed - reference.speed;
         let modelled = self.law.modelled_acceleration(speed, current);

@@ -1,5 +1,6 @@
 //! `cargo xtask`: the project's chores.
 
+mod count;
 mod cross;
 mod packages;
 mod setup;
@@ -40,6 +41,15 @@ enum Task {
         #[arg(long, default_value = "auto")]
         toolchain: ToolchainChoice,
     },
+    /// Count the control step's instructions in QEMU, and the image's bytes; compare with xtask/counts.txt.
+    Count {
+        /// Where the standard library for Cortex-M comes from.
+        #[arg(long, default_value = "auto")]
+        toolchain: ToolchainChoice,
+        /// Replace xtask/counts.txt by what is counted.
+        #[arg(long)]
+        rewrite: bool,
+    },
     /// Redraw the README's plots.
     Plots,
 }
@@ -63,6 +73,9 @@ fn execute(task: Task) -> Result<()> {
             let elf = setup::everything(toolchain)?.firmware("qemu")?;
             println!("Built {}.", elf.display());
             Ok(())
+        }
+        Task::Count { toolchain, rewrite } => {
+            count::count(&setup::everything(toolchain)?.firmware("qemu")?, rewrite)
         }
         Task::Plots => host_sim(&["paper", "--plots", "docs"]),
     }
@@ -97,8 +110,9 @@ fn test(toolchain: ToolchainChoice) -> Result<()> {
     cargo(&["fmt", "--all", "--check"]).run()?;
     cargo(&["clippy", "--workspace", "--all-targets", "--", "--deny", "warnings"]).run()?;
     cargo(&["test", "--workspace"]).run()?;
-    cross.firmware("qemu")?;
+    let elf = cross.firmware("qemu")?;
     processor_in_the_loop()?;
+    count::count(&elf, false)?;
     cargo(&["doc", "--workspace", "--no-deps"]).env("RUSTDOCFLAGS", "--deny warnings").run()?;
     println!("All checks passed in {}.", root().display());
     Ok(())

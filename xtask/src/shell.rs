@@ -47,6 +47,12 @@ impl Shell {
         self
     }
 
+    /// Without the command's standard output.
+    pub fn silent(mut self) -> Self {
+        self.0.stdout(Stdio::null());
+        self
+    }
+
     fn text(&self) -> String {
         let program = Path::new(self.0.get_program());
         let name = program.file_name().unwrap_or(program.as_os_str());
