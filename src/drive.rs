@@ -215,8 +215,8 @@ impl<S: Scalar> Drive<S> {
         if self.mode != Mode::Running {
             return BridgeCommand::Off;
         }
-        if let Some(fault) = self.fault_in(sample) {
-            self.mode = Mode::Faulted(fault);
+        if !self.limits_hold(sample) {
+            self.mode = Mode::Faulted(self.fault_in(sample));
             return BridgeCommand::Off;
         }
         let reference = self.shaper.advance();
@@ -227,20 +227,29 @@ impl<S: Scalar> Drive<S> {
         BridgeCommand::Duty(duty)
     }
 
-    fn fault_in(&self, sample: &Sample<S>) -> Option<Fault> {
+    /// Whether a sample is within the limits; one with a NaN in it is not.
+    #[inline]
+    fn limits_hold(&self, sample: &Sample<S>) -> bool {
+        sample.speed.abs() <= self.speed_limit
+            && sample.current.abs() <= self.current_limit
+            && sample.bus_voltage >= self.bus_min
+            && sample.bus_voltage <= self.bus_max
+    }
+
+    /// What is wrong with a sample that is not within the limits.
+    #[cold]
+    fn fault_in(&self, sample: &Sample<S>) -> Fault {
         let &Sample { speed, current, bus_voltage } = sample;
         if !(speed.is_finite() && current.is_finite() && bus_voltage.is_finite()) {
-            Some(Fault::SampleNotFinite)
+            Fault::SampleNotFinite
         } else if current.abs() > self.current_limit {
-            Some(Fault::Overcurrent)
+            Fault::Overcurrent
         } else if bus_voltage < self.bus_min {
-            Some(Fault::BusUndervoltage)
+            Fault::BusUndervoltage
         } else if bus_voltage > self.bus_max {
-            Some(Fault::BusOvervoltage)
-        } else if speed.abs() > self.speed_limit {
-            Some(Fault::Overspeed)
+            Fault::BusOvervoltage
         } else {
-            None
+            Fault::Overspeed
         }
     }
 

@@ -54,23 +54,25 @@ pub(super) struct ChannelConfig {
 /// mismatch at the next step; where it acts on the plant, the plant's answer does that.
 #[derive(Clone, Debug)]
 pub(super) struct Channel<S: Scalar> {
-    injection: Injection<S>,
     per_layer: S::Gain,
     rate_now: S::Gain,
     rate_before: S::Gain,
     correction: S::Gain,
+    limit: S,
+    before: Sampled<S>,
+    injection: Injection<S>,
     layer: S::Gain,
     beta: S::Gain,
-    limit: S,
+    form: Form,
     start: Start,
-    state: Option<State<S>>,
 }
 
+/// A channel at a sample.
 #[derive(Clone, Copy, Debug)]
-struct State<S> {
+struct Sampled<S> {
     signal: S,
     rate: S,
-    /// Mismatch before the injection, σ/ε.
+    /// Mismatch ahead of the injection, σ/ε.
     mismatch: S,
     /// The injection g, within ±1.
     injection: S,
@@ -98,54 +100,61 @@ impl<S: Scalar> Channel<S> {
         };
         let correction = if config.observer { period * strength / layer } else { 0.0 };
         Ok(Self {
-            injection: Injection::new(beta),
             per_layer: S::gain(1.0 / layer),
             rate_now: S::gain(-weight_now * period / layer),
             rate_before: S::gain((weight_now - 1.0) * period / layer),
             correction: S::gain(-correction),
+            limit: S::from_f32(range / layer + beta),
+            before: Sampled {
+                signal: S::ZERO,
+                rate: S::ZERO,
+                mismatch: S::ZERO,
+                injection: S::ZERO,
+            },
+            injection: Injection::new(beta),
             layer: S::gain(layer),
             beta: S::gain(-beta),
-            limit: S::from_f32(range / layer + beta),
+            form: config.form,
             start: config.start,
-            state: None,
         })
     }
 
-    /// Forgets the past: the next step is a first one.
-    pub fn reset(&mut self) {
-        self.state = None;
+    /// Starts at a sample: makes up a sample before it, from which the first step gets the mismatch that it is to have.
+    pub fn start(&mut self, signal: S, rate: S) {
+        self.before = Sampled {
+            signal: match self.start {
+                Start::Matched => signal,
+                Start::Zero => S::ZERO,
+            },
+            // Either way the two rates add up to nothing.
+            rate: match self.form {
+                Form::Implicit => -rate,
+                Form::Explicit => S::ZERO,
+            },
+            mismatch: S::ZERO,
+            injection: S::ZERO,
+        };
     }
 
     /// One step: the signal and its modelled rate at this sample → the injection g, within ±1.
     #[inline]
     pub fn advance(&mut self, signal: S, rate: S) -> S {
-        let mismatch = match (&self.state, self.start) {
-            (Some(before), _) => {
-                before.mismatch
-                    + S::combine([
-                        (self.per_layer, signal - before.signal),
-                        (self.rate_now, rate),
-                        (self.rate_before, before.rate),
-                        (self.correction, before.injection),
-                    ])
-            }
-            (None, Start::Matched) => S::ZERO,
-            (None, Start::Zero) => S::combine([(self.per_layer, signal)]),
-        }
-        .limited(self.limit);
+        let before = &self.before;
+        let growth = S::combine([
+            (self.per_layer, signal - before.signal),
+            (self.rate_now, rate),
+            (self.rate_before, before.rate),
+            (self.correction, before.injection),
+        ]);
+        let mismatch = (before.mismatch + growth).limited(self.limit);
         let injection = self.injection.value(mismatch);
-        self.state = Some(State { signal, rate, mismatch, injection });
+        self.before = Sampled { signal, rate, mismatch, injection };
         injection
     }
 
-    /// The sliding variable y, for which the injection is k·tanh(y/ε) (signal). Zero before the first step.
+    /// The sliding variable y, for which the injection is k·tanh(y/ε), in the signal's unit.
     pub fn sliding_variable(&self) -> S {
-        match &self.state {
-            Some(state) => {
-                let y = state.mismatch + S::combine([(self.beta, state.injection)]);
-                S::combine([(self.layer, y)])
-            }
-            None => S::ZERO,
-        }
+        let Sampled { mismatch, injection, .. } = self.before;
+        S::combine([(self.layer, mismatch + S::combine([(self.beta, injection)]))])
     }
 }

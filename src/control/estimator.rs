@@ -79,25 +79,42 @@ impl<S: Scalar> Estimator<S> {
         })
     }
 
-    pub fn reset(&mut self) {
-        self.first.reset();
-        self.second.reset();
+    /// Starts the first channel anew at a sample; arguments as for [`disturbance`](Self::disturbance).
+    pub fn start_disturbance(&mut self, speed: S, z1: S, modelled: S, wanted: S) {
+        let (signal, rate) = self.watched(speed, z1, modelled, wanted);
+        self.first.start(signal, rate);
+    }
+
+    /// Starts the second channel anew at a sample; arguments as for [`lumped`](Self::lumped).
+    pub fn start_lumped(&mut self, z1: S, z2: S) {
+        self.second.start(z2, self.wanted_z2_rate(z1, z2));
     }
 
     /// d̂ (rad/s²), from the speed ω, the error z1, the acceleration −a1·ω + a2·i and the reference's acceleration ω̇_d.
     #[inline]
     pub fn disturbance(&mut self, speed: S, z1: S, modelled: S, wanted: S) -> S {
-        let injection = match self.memory {
-            Memory::Observer => self.first.advance(speed, modelled),
-            Memory::Integral => self.first.advance(z1, modelled - wanted),
-        };
-        S::combine([(self.k1, injection)])
+        let (signal, rate) = self.watched(speed, z1, modelled, wanted);
+        S::combine([(self.k1, self.first.advance(signal, rate))])
     }
 
     /// ζ̂2/k2 = −u2/k2, within ±1, from the two errors.
     #[inline]
     pub fn lumped(&mut self, z1: S, z2: S) -> S {
-        self.second.advance(z2, S::combine([(self.minus_c, z2)]) - z1)
+        self.second.advance(z2, self.wanted_z2_rate(z1, z2))
+    }
+
+    /// What the first channel watches, and its modelled rate.
+    #[inline]
+    fn watched(&self, speed: S, z1: S, modelled: S, wanted: S) -> (S, S) {
+        match self.memory {
+            Memory::Observer => (speed, modelled),
+            Memory::Integral => (z1, modelled - wanted),
+        }
+    }
+
+    #[inline]
+    fn wanted_z2_rate(&self, z1: S, z2: S) -> S {
+        S::combine([(self.minus_c, z2)]) - z1
     }
 
     /// The sliding variables: ω − x̂1 or s1 (rad/s), z2 − ẑ2 or s2 (rad/s²).

@@ -42,6 +42,8 @@ pub struct Signals<S> {
 pub struct Controller<S: Scalar> {
     law: Backstepping<S>,
     estimator: Option<Estimator<S>>,
+    /// Whether the next step is a first one.
+    fresh: bool,
 }
 
 impl<S: Scalar> Controller<S> {
@@ -74,14 +76,12 @@ impl<S: Scalar> Controller<S> {
             }
             None => None,
         };
-        Ok(Self { law, estimator })
+        Ok(Self { law, estimator, fresh: true })
     }
 
     /// Forgets the past: the next step is a first one.
     pub fn reset(&mut self) {
-        if let Some(estimator) = &mut self.estimator {
-            estimator.reset();
-        }
+        self.fresh = true;
     }
 
     /// One step: from the speed ω (rad/s), the armature current i (A) and the reference to the voltage.
@@ -90,17 +90,23 @@ impl<S: Scalar> Controller<S> {
     pub fn step(&mut self, speed: S, current: S, reference: &Reference<S>) -> Signals<S> {
         let z1 = speed - reference.speed;
         let modelled = self.law.modelled_acceleration(speed, current);
-        let disturbance = match &mut self.estimator {
-            Some(estimator) => estimator.disturbance(speed, z1, modelled, reference.acceleration),
-            None => S::ZERO,
+        let Some(estimator) = &mut self.estimator else {
+            let z2 = self.law.z2(z1, modelled, reference, S::ZERO);
+            let none = (S::ZERO, S::ZERO);
+            let voltage = self.law.voltage((speed, current), (z1, z2), reference, none);
+            return Signals { z1, z2, disturbance: S::ZERO, voltage };
         };
+        let fresh = core::mem::replace(&mut self.fresh, false);
+        if fresh {
+            estimator.start_disturbance(speed, z1, modelled, reference.acceleration);
+        }
+        let disturbance = estimator.disturbance(speed, z1, modelled, reference.acceleration);
         let z2 = self.law.z2(z1, modelled, reference, disturbance);
-        let lumped = match &mut self.estimator {
-            Some(estimator) => estimator.lumped(z1, z2),
-            None => S::ZERO,
-        };
-        let voltage =
-            self.law.voltage((speed, current), (z1, z2), reference, (disturbance, lumped));
+        if fresh {
+            estimator.start_lumped(z1, z2);
+        }
+        let estimates = (disturbance, estimator.lumped(z1, z2));
+        let voltage = self.law.voltage((speed, current), (z1, z2), reference, estimates);
         Signals { z1, z2, disturbance, voltage }
     }
 

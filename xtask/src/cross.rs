@@ -68,6 +68,16 @@ impl Cross {
         Ok(elf)
     }
 
+    /// The compiler's version.
+    pub fn compiler(&self) -> Result<String> {
+        let rustc = match self {
+            Self::Rustup => "rustc",
+            Self::Debian { .. } => DEBIAN_RUSTC,
+        };
+        let version = program(rustc).args(&["--version"]).output();
+        Ok(version.with_context(|| format!("{rustc} does not run"))?.trim().to_owned())
+    }
+
     fn cargo(&self) -> Shell {
         match self {
             Self::Rustup => cargo(&[]),
