@@ -292,9 +292,9 @@ pub static __INTERRUPTS: [Vector; 32] = {
     vectors
 };
 
-/// Stops for good: there is no bridge to switch off, and the host sees that no reply comes.
+/// Stops for good: there is no bridge to switch off, and the host sees that no reply comes. Without a log: logging may
+/// panic, and this is where a panic ends.
 fn stop() -> ! {
-    defmt::error!("stopped");
     cortex_m::interrupt::disable();
     loop {
         cortex_m::asm::wfi();

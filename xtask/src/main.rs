@@ -2,6 +2,7 @@
 
 mod count;
 mod cross;
+mod interrupt;
 mod packages;
 mod setup;
 mod shell;
@@ -72,7 +73,7 @@ fn execute(task: Task) -> Result<()> {
         Task::Firmware { toolchain } => {
             let elf = setup::everything(toolchain)?.firmware("qemu")?;
             println!("Built {}.", elf.display());
-            Ok(())
+            interrupt::check(&elf)
         }
         Task::Count { toolchain, rewrite } => count::count(&setup::everything(toolchain)?, rewrite),
         Task::Plots => host_sim(&["paper", "--plots", "docs"]),
@@ -108,7 +109,7 @@ fn test(toolchain: ToolchainChoice) -> Result<()> {
     cargo(&["fmt", "--all", "--check"]).run()?;
     cargo(&["clippy", "--workspace", "--all-targets", "--", "--deny", "warnings"]).run()?;
     cargo(&["test", "--workspace"]).run()?;
-    cross.firmware("qemu")?;
+    interrupt::check(&cross.firmware("qemu")?)?;
     processor_in_the_loop()?;
     count::count(&cross, false)?;
     cargo(&["doc", "--workspace", "--no-deps"]).env("RUSTDOCFLAGS", "--deny warnings").run()?;
