@@ -131,6 +131,34 @@ mod tests {
     use super::*;
 
     #[test]
+    fn one_wrong_bit_on_the_target_ends_the_run() {
+        use crate::qemu::tests::{accepted, against};
+        use crate::scenario::Scenario;
+
+        let config = Scenario::paper().drive_config();
+        let sample = Sample { speed: 1.0, current: 2.0, bus_voltage: 24.0 };
+        // What a right target answers, from a second drive here.
+        let mut twin = Local::<f32>::new(&config).expect("valid");
+        let record = |period: Period<f32>| {
+            let Period { command, mode, telemetry } = period;
+            Record { command, mode, telemetry }
+        };
+        let first = record(twin.exchange(100.0, &sample).expect("runs"));
+        let second = record(twin.exchange(100.0, &sample).expect("runs"));
+        let mut wrong = second.to_words();
+        wrong[6] ^= 1;
+        let mut reply = second.reply().to_words();
+        reply[2] ^= 1;
+        let answers =
+            vec![accepted(), first.reply().to_words().to_vec(), reply.to_vec(), wrong.to_vec()];
+        let target = against(answers, true).expect("set up");
+        let mut both = LockStep::new(Local::new(&config).expect("valid"), target);
+        both.exchange(100.0, &sample).expect("equal");
+        let error = both.exchange(100.0, &sample).expect_err("a wrong bit").to_string();
+        assert!(error.starts_with("period 1: z2 differs: host 0x"), "{error}");
+    }
+
+    #[test]
     fn the_first_differing_signal_is_told_with_its_bits() {
         let words =
             Record { command: BridgeCommand::Duty(0.5), mode: Mode::Running, telemetry: None }

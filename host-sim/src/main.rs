@@ -94,6 +94,9 @@ struct Overrides {
     /// QEMU.
     #[arg(long, value_name = "PROGRAM", default_value = "qemu-system-arm")]
     qemu: PathBuf,
+    /// File for the firmware's log in QEMU, in defmt's encoding.
+    #[arg(long, value_name = "FILE")]
+    log: Option<PathBuf>,
     /// A further argument for QEMU.
     #[arg(long, value_name = "ARGUMENT", allow_hyphen_values = true)]
     qemu_argument: Vec<String>,
@@ -285,6 +288,7 @@ fn play(file: &Path, overrides: &Overrides, csv: Option<&Path>) -> Result<RunRep
             let emulator = Emulator {
                 program: &overrides.qemu,
                 arguments: &overrides.qemu_argument,
+                log: overrides.log.as_deref(),
                 machine: overrides.machine.name(),
                 image: &overrides.image,
                 patience: PATIENCE,

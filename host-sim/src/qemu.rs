@@ -8,6 +8,7 @@ use quasidrive::hal::Sample;
 use quasidrive::protocol::{
     MAGIC, Question, Record, Reply, Setup, VERSION, Verdict, sample_to_words,
 };
+use std::fs::File;
 use std::io::{ErrorKind, Read, Write};
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
@@ -28,6 +29,9 @@ pub enum QemuError {
     /// There is no firmware to run.
     #[error("no firmware image at {}: build it by `cargo xtask firmware`", .0.display())]
     NoImage(PathBuf),
+    /// The log cannot be written.
+    #[error("cannot write the firmware's log: {0}")]
+    NoLog(std::io::Error),
     /// QEMU is not installed, or does not start.
     #[error("cannot start qemu-system-arm: {0}; `cargo xtask setup` installs it")]
     NoQemu(std::io::Error),
@@ -82,6 +86,8 @@ pub struct Emulator<'a> {
     pub machine: &'a str,
     /// The firmware's ELF.
     pub image: &'a Path,
+    /// File for the firmware's log, in defmt's encoding.
+    pub log: Option<&'a Path>,
     /// How long QEMU may take to start, and then to answer.
     pub patience: Duration,
     /// Ends the waiting when it becomes true.
@@ -97,13 +103,17 @@ pub struct Qemu<'a> {
 }
 
 /// A child process that is killed when dropped.
-struct Process(Child);
+struct Process {
+    child: Child,
+    /// Holds its socket and its messages.
+    folder: Folder,
+}
 
 impl Drop for Process {
     fn drop(&mut self) {
         // Either fails only if the process is gone already.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
+        let _ = self.child.kill();
+        let _ = self.child.wait();
     }
 }
 
@@ -114,12 +124,17 @@ impl<'a> Qemu<'a> {
         if !image.is_file() {
             return Err(QemuError::NoImage(image.to_owned()));
         }
+        let log = match emulator.log {
+            Some(file) => File::create(file).map_err(QemuError::NoLog)?.into(),
+            None => Stdio::null(),
+        };
         let folder = Folder::new().map_err(QemuError::NoQemu)?;
+        let messages = File::create(folder.messages()).map_err(QemuError::NoQemu)?;
         let socket = folder.0.join("serial");
         let listener = UnixListener::bind(&socket).map_err(QemuError::NoQemu)?;
         let child = Command::new(program)
             .args(["-machine", machine, "-display", "none", "-monitor", "none"])
-            // The firmware logs by semihosting.
+            // The firmware logs by semihosting, which ends at QEMU's standard output.
             .args(["-semihosting-config", "enable=on,target=native"])
             // One thread: waking a second one for every byte takes twice as long.
             .args(["-accel", "tcg,thread=single"])
@@ -129,11 +144,11 @@ impl<'a> Qemu<'a> {
             .arg("-kernel")
             .arg(image)
             .stdin(Stdio::null())
-            .stdout(Stdio::null())
-            .stderr(Stdio::piped())
+            .stdout(log)
+            .stderr(messages)
             .spawn()
             .map_err(QemuError::NoQemu)?;
-        let mut process = Process(child);
+        let mut process = Process { child, folder };
         let stream = accept(&listener, &mut process, emulator)?;
         Self::on(stream, process, emulator, config)
     }
@@ -279,16 +294,13 @@ fn interrupted() -> std::io::Error {
 
 /// The error of a process that has ended, with what it said.
 fn ended(process: &mut Process) -> Option<QemuError> {
-    let status = process.0.try_wait().ok()??;
-    let mut message = String::new();
-    if let Some(stderr) = &mut process.0.stderr {
-        // A message that cannot be read is no message.
-        let _ = stderr.read_to_string(&mut message);
-    }
+    let status = process.child.try_wait().ok()??;
+    // A message that cannot be read is no message.
+    let message = std::fs::read_to_string(process.folder.messages()).unwrap_or_default();
     Some(QemuError::Ended { status: status.to_string(), message: message.trim().to_owned() })
 }
 
-/// A folder of one's own, removed when dropped. The socket in it is needed until QEMU has connected.
+/// A folder of one's own, removed when dropped.
 struct Folder(PathBuf);
 
 impl Folder {
@@ -301,6 +313,11 @@ impl Folder {
         std::fs::create_dir(&folder)?;
         Ok(Self(folder))
     }
+
+    /// Where a process's messages go: to a file, for a pipe that nobody reads would stop it when full.
+    fn messages(&self) -> PathBuf {
+        self.0.join("messages")
+    }
 }
 
 impl Drop for Folder {
@@ -311,7 +328,7 @@ impl Drop for Folder {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use crate::scenario::Scenario;
     use quasidrive::drive::Mode;
@@ -329,6 +346,7 @@ mod tests {
         Emulator {
             program: Path::new(program),
             arguments: &[],
+            log: None,
             machine: "mps2-an386",
             image,
             patience: Duration::from_millis(300),
@@ -337,12 +355,13 @@ mod tests {
     }
 
     fn sleeper() -> Process {
-        Process(Command::new("sleep").arg("60").spawn().expect("sleep"))
+        let child = Command::new("sleep").arg("60").spawn().expect("sleep");
+        Process { child, folder: Folder::new().expect("a folder") }
     }
 
     /// A connection to a thread that answers with `words`, one message after the other, and then hangs up, or stays
     /// silent where `stays` says so.
-    fn against(answers: Vec<Vec<u32>>, stays: bool) -> Result<Qemu<'static>, QemuError> {
+    pub(crate) fn against(answers: Vec<Vec<u32>>, stays: bool) -> Result<Qemu<'static>, QemuError> {
         let (here, mut there) = UnixStream::pair().expect("a socket pair");
         std::thread::spawn(move || {
             for (number, words) in answers.iter().enumerate() {
@@ -359,7 +378,7 @@ mod tests {
         Qemu::on(here, sleeper(), &emulator("none", Path::new("none"), &NEVER), &config)
     }
 
-    fn accepted() -> Vec<u32> {
+    pub(crate) fn accepted() -> Vec<u32> {
         vec![MAGIC, VERSION, Verdict::Accepted as u32]
     }
 
@@ -430,9 +449,10 @@ mod tests {
     #[test]
     fn no_process_is_left_behind() {
         let process = sleeper();
-        let id = process.0.id();
+        let (id, folder) = (process.child.id(), process.folder.0.clone());
         assert!(Path::new(&format!("/proc/{id}")).exists());
         drop(process);
         assert!(!Path::new(&format!("/proc/{id}")).exists());
+        assert!(!folder.exists());
     }
 }

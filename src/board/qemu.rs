@@ -240,7 +240,7 @@ impl Pacer {
     /// Starts a period. The timer counts it down once: while the host plays the motor, no further periods pass.
     fn start(&self) {
         TIMER0.write(Self::INTERRUPT_CLEAR, 1);
-        TIMER0.write(Self::RELOAD, 0);
+        TIMER0.write(Self::RELOAD, u32::MAX);
         TIMER0.write(Self::VALUE, self.cycles);
         TIMER0.write(Self::CONTROL, Self::ENABLE_WITH_INTERRUPT);
     }

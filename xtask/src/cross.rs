@@ -53,14 +53,14 @@ impl Cross {
         }
     }
 
-    /// Builds for the target, given what `cargo build` is to build.
-    pub fn build(&self, arguments: &[&str]) -> Result<()> {
-        self.cargo().args(&["build", "--target", TARGET]).args(arguments).run()
-    }
-
     /// Builds a board's firmware; gives its ELF, at `target/firmware/<board>.elf`.
     pub fn firmware(&self, board: &str) -> Result<PathBuf> {
-        self.build(&["--profile", "firmware", "--bin", board, "--features", board])?;
+        self.cargo()
+            .args(&["build", "--target", TARGET, "--profile", "firmware"])
+            .args(&["--bin", board, "--features", board])
+            // Without it all but errors are compiled out.
+            .env("DEFMT_LOG", "info")
+            .run()?;
         let built = self.target_dir().join(TARGET).join("firmware").join(board);
         let elf = root().join(format!("target/firmware/{board}.elf"));
         fs::create_dir_all(elf.with_file_name(""))?;
