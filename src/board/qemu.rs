@@ -1,10 +1,10 @@
 //! QEMU's Arm MPS2 boards (mps2-an386: Cortex-M4F, mps2-an500: Cortex-M7) as a drive's board.
 //!
-//! There is no motor: the sample of each period comes in over the serial port from a host that plays it, and the command goes out the
-//! same way ([`crate::protocol`]). A timer's interrupt paces the loop as a PWM timer would.
+//! There is no motor: the sample of each period comes in over the serial port from a host that plays it, and the command
+//! goes out the same way ([`crate::protocol`]). A timer's interrupt paces the loop as a PWM timer would.
 //!
-//! Registers after Arm's *CMSDK Technical Reference Manual* (DDI 0479), addresses after *Application Note AN386*; both boards
-//! have the same. Used here: UART0, TIMER0, the NVIC.
+//! Registers after Arm's *CMSDK Technical Reference Manual* (DDI 0479), addresses after *Application Note AN386*; both
+//! boards have the same. Used here: UART0, TIMER0, the NVIC.
 #![allow(unsafe_code, reason = "memory-mapped registers")]
 
 use crate::drive::Drive;

@@ -16,7 +16,7 @@ pub enum Form {
     Explicit,
 }
 
-/// Which sample a channel takes its memory from at its first step.
+/// Where an estimator's memory starts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Start {
     /// On the sliding surface: the first mismatch is zero (the paper's QISMC, and "x̃1(0) = 0" below its Eq. 36).

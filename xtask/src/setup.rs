@@ -1,19 +1,12 @@
-//! What the project needs on a machine that has rustup and nothing else.
+//! What the tests need on a machine that has rustup and nothing else. The demo needs no more than rustup.
 
 use crate::cross::{Cross, ToolchainChoice};
 use crate::packages::install;
 use crate::shell::program;
 use anyhow::Result;
 
-/// What the host commands need: nothing but the toolchain that runs this, which rustup has fetched by now.
-pub fn host() -> Result<()> {
-    println!("Set-up: the host's toolchain is all that is needed.");
-    Ok(())
-}
-
-/// What the tests need.
+/// Cross toolchain and QEMU.
 pub fn everything(toolchain: ToolchainChoice) -> Result<Cross> {
-    host()?;
     let cross = Cross::set_up(toolchain)?;
     qemu()?;
     Ok(cross)
