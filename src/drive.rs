@@ -119,9 +119,10 @@ pub struct Telemetry<S> {
     pub load_torque: S,
 }
 
-/// What the last driven period leaves for telemetry.
+/// What the last driven period leaves for telemetry; zeros before the first.
 #[derive(Clone, Copy, Debug)]
 struct Record<S> {
+    driven: bool,
     reference: Reference<S>,
     signals: Signals<S>,
     voltage: S,
@@ -139,7 +140,7 @@ pub struct Drive<S: Scalar> {
     bus_min: S,
     bus_max: S,
     minus_inertia: S::Gain,
-    record: Option<Record<S>>,
+    record: Record<S>,
 }
 
 impl<S: Scalar> Drive<S> {
@@ -159,7 +160,17 @@ impl<S: Scalar> Drive<S> {
             bus_min: S::from_f32(limits.bus_min),
             bus_max: S::from_f32(limits.bus_max),
             minus_inertia: S::gain(-motor.inertia),
-            record: None,
+            record: Record {
+                driven: false,
+                reference: Reference::constant(S::ZERO),
+                signals: Signals {
+                    z1: S::ZERO,
+                    z2: S::ZERO,
+                    disturbance: S::ZERO,
+                    voltage: S::ZERO,
+                },
+                voltage: S::ZERO,
+            },
         })
     }
 
@@ -219,11 +230,12 @@ impl<S: Scalar> Drive<S> {
             self.mode = Mode::Faulted(self.fault_in(sample));
             return BridgeCommand::Off;
         }
-        let reference = self.shaper.advance();
-        let signals = self.controller.step(sample.speed, sample.current, &reference);
-        let duty = (signals.voltage / sample.bus_voltage).limited(self.duty_limit);
-        let voltage = duty * sample.bus_voltage;
-        self.record = Some(Record { reference, signals, voltage });
+        let record = &mut self.record;
+        record.reference = self.shaper.advance();
+        record.signals = self.controller.step(sample.speed, sample.current, &record.reference);
+        let duty = (record.signals.voltage / sample.bus_voltage).limited(self.duty_limit);
+        record.voltage = duty * sample.bus_voltage;
+        record.driven = true;
         BridgeCommand::Duty(duty)
     }
 
@@ -260,7 +272,8 @@ impl<S: Scalar> Drive<S> {
 
     /// What the last driven period did; nothing before the first.
     pub fn telemetry(&self) -> Option<Telemetry<S>> {
-        self.record.map(|Record { reference, signals, voltage }| Telemetry {
+        let Record { driven, reference, signals, voltage } = self.record;
+        driven.then(|| Telemetry {
             reference,
             signals,
             voltage,
