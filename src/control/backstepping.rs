@@ -166,12 +166,26 @@ mod tests {
             let stated_z1_rate = -c * z1 + z2 + (d - estimate);
             let lumped = (c - a1) * (d - estimate) + estimate_rate;
             let stated_z2_rate = -z1 - c * z2 - f(gains.k2) * f(rest) + lumped;
-            // Seven f32 products of a few volts, 1e-6 V, through a2/La; z2 itself to 1e-7 of a few thousand, times c.
-            let tolerance = 3e-6 * a2 / f(motor.inductance) + 1e-6 * c * (z2.abs() + 1e4);
-            prop_assert!((z1_rate - stated_z1_rate).abs() < 0.1, "{z1_rate} is not {stated_z1_rate}");
+            // Every product and sum rounds by 6e-8 of its size, some sixteen in a row: 1e-6 of all sizes together.
+            let parts = a2 * f(current).abs()
+                + a1 * f(speed).abs()
+                + f(reference.acceleration).abs()
+                + estimate.abs();
+            let z1_size = c * z1.abs() + parts + d.abs();
+            let z2_size = (a2 * a3 + a1 * a1) * f(speed).abs()
+                + a2 * (a4 + a1) * f(current).abs()
+                + (1.0 + c * c) * z1.abs()
+                + 2.0 * c * (c * z1.abs() + parts + d.abs())
+                + f(reference.jerk).abs()
+                + f(gains.k2)
+                + estimate_rate.abs();
             prop_assert!(
-                (z2_rate - stated_z2_rate).abs() < tolerance,
-                "{z2_rate} is not {stated_z2_rate} to {tolerance}"
+                (z1_rate - stated_z1_rate).abs() < 1e-6 * z1_size,
+                "{z1_rate} is not {stated_z1_rate}, of {z1_size}"
+            );
+            prop_assert!(
+                (z2_rate - stated_z2_rate).abs() < 1e-6 * z2_size,
+                "{z2_rate} is not {stated_z2_rate}, of {z2_size}"
             );
         }
     }
