@@ -349,7 +349,7 @@ pub(crate) mod tests {
             log: None,
             machine: "mps2-an386",
             image,
-            patience: Duration::from_millis(300),
+            patience: Duration::from_secs(1),
             interrupted,
         }
     }
