@@ -486,7 +486,8 @@ fn forms_section(results: &Reproduction) -> Result<Markup> {
         h2 { "Why not explicit Euler: the two forms at 20 kHz" }
         p {
             "With the paper's gains the second injection moves z2 by h·k2/ε2 = 7.55 times its mismatch in one period; \
-             forward Euler overshoots from 2 on and lives in a limit cycle. The implicit form solves for the injection \
+             forward Euler overshoots from 2 on, with the delay from 1 on, and lives in a limit cycle. The implicit form \
+             solves for the injection \
              that is right at the end of the step, and costs one table look-up as well. Both run the same states and the \
              same gains here."
         }
@@ -529,7 +530,7 @@ fn disagreements(results: &Reproduction) -> Result<Markup> {
         }
         p {
             "Reached: outside the 0.2 s after each jump of the reference. At 20 kHz the corrected bound includes h·sup|ḋ|, \
-             since an implicit estimate is one period old at worst."
+             since an implicit estimate is one period old at worst, and that on ‖z‖ a term for the voltage that comes late."
         }
         figure {
             h3 { "Figure 12: the simulated error between the two bounds" }

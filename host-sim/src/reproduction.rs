@@ -185,7 +185,9 @@ pub fn play<S: SimulatedScalar>(scenario: &Scenario, bar: &ProgressBar) -> Resul
     let outcome = simulate::<S>(scenario, |frame| {
         for (window, frames) in Window::ALL.iter().zip(&mut windows) {
             let span = window.span();
-            let stride = ((span.end - span.start) * rate / POINTS as f64).ceil().max(1.0) as u64;
+            // Odd, so as not to fall into step with a limit cycle.
+            let stride =
+                ((span.end - span.start) * rate / POINTS as f64).ceil().max(1.0) as u64 | 1;
             if span.contains(&frame.time) && period.is_multiple_of(stride) {
                 frames.push(*frame);
             }
