@@ -271,6 +271,7 @@ impl<S: Scalar> Drive<S> {
     }
 
     /// What the last driven period did; nothing before the first.
+    #[inline]
     pub fn telemetry(&self) -> Option<Telemetry<S>> {
         let Record { driven, reference, signals, voltage } = self.record;
         driven.then(|| Telemetry {

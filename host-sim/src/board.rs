@@ -69,12 +69,14 @@ impl<S: SimulatedScalar> SimulatedBoard<S> {
     }
 
     /// Torque that opposes the motor beyond viscous friction [N·m]: what a disturbance observer is to find.
+    #[inline]
     pub fn load_torque(&self) -> f64 {
         let friction = self.plant.coulomb_torque(self.state.speed);
         self.load.steps_at(self.time) + self.waves.sum() + friction
     }
 
     /// One period with the bridge doing `acting`: a duty is a share of the bus voltage that is there as it acts.
+    #[inline]
     fn advance(&mut self, acting: BridgeCommand<f64>) {
         let armature = match acting {
             BridgeCommand::Off => Armature::Open(self.bus_now),

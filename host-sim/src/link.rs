@@ -42,22 +42,28 @@ pub enum LinkError {
 }
 
 /// The drive in this process.
-pub struct Local<S: SimulatedScalar>(Drive<S>);
+pub struct Local<S: SimulatedScalar> {
+    drive: Drive<S>,
+    commanded: Option<S>,
+}
 
 impl<S: SimulatedScalar> Local<S> {
     /// Builds and arms a drive.
     pub fn new(config: &DriveConfig) -> Result<Self, LinkError> {
         let mut drive = Drive::new(config)?;
         drive.arm().map_err(LinkError::Refused)?;
-        Ok(Self(drive))
+        Ok(Self { drive, commanded: None })
     }
 }
 
 impl<S: SimulatedScalar> Link<S> for Local<S> {
+    #[inline]
     fn exchange(&mut self, target: S, sample: &Sample<S>) -> Result<Period<S>, LinkError> {
-        self.0.set_speed(target).map_err(LinkError::Refused)?;
-        let command = self.0.step(sample);
-        Ok(Period { command, mode: self.0.mode(), telemetry: self.0.telemetry() })
+        if self.commanded.replace(target) != Some(target) {
+            self.drive.set_speed(target).map_err(LinkError::Refused)?;
+        }
+        let command = self.drive.step(sample);
+        Ok(Period { command, mode: self.drive.mode(), telemetry: self.drive.telemetry() })
     }
 }
 

@@ -7,6 +7,7 @@ use host_sim::frame::Frame;
 use host_sim::link::{LinkError, Local, LockStep};
 use host_sim::metrics::Metrics;
 use host_sim::qemu::{Emulator, PATIENCE, Qemu};
+use host_sim::reproduction::PERIODS_PER_TICK;
 use host_sim::scenario::{Controller, FormName, Scenario, ScenarioError};
 use host_sim::simulation::{Outcome, simulate, simulate_on};
 use host_sim::{report, reproduction, terminal};
@@ -273,8 +274,12 @@ fn play(file: &Path, overrides: &Overrides, csv: Option<&Path>) -> Result<RunRep
     };
     let mut written = Ok(());
     let bar = progress_bar(scenario.periods());
+    let mut period: u64 = 0;
     let each = |frame: &Frame| {
-        bar.inc(1);
+        period += 1;
+        if period.is_multiple_of(PERIODS_PER_TICK) {
+            bar.inc(PERIODS_PER_TICK);
+        }
         if let (Some(rows), Ok(())) = (&mut rows, &written) {
             written = rows.serialize(frame);
         }

@@ -72,6 +72,7 @@ struct Sums {
 
 impl Meter {
     /// Counts a period; `since_jump` is the time since the last jump of the command (s).
+    #[inline]
     pub fn add(&mut self, frame: &Frame, since_jump: f64) {
         let step = self.last_voltage.map(|last| frame.voltage - last);
         self.whole.add(frame, step);

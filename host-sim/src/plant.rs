@@ -104,6 +104,7 @@ impl Plant {
     }
 
     /// One classical Runge-Kutta step of `h` seconds, with the load torque (N·m) at its start, middle and end.
+    #[inline]
     pub fn step(&self, state: State, armature: Armature, load: [f64; 3], h: f64) -> State {
         match armature {
             Armature::Driven(voltage) => self.rk4(state, |_| voltage, load, h),

@@ -107,11 +107,13 @@ impl Waves {
     const RENEWAL: u64 = 1024;
 
     /// The sum now.
+    #[inline]
     pub fn sum(&self) -> f64 {
         self.waves.iter().map(|wave| wave.sine.amplitude * wave.sin).sum()
     }
 
     /// Goes on by one interval and gives the sum there.
+    #[inline]
     pub fn advance(&mut self) -> f64 {
         self.steps += 1;
         let renew = self.steps.is_multiple_of(Self::RENEWAL);

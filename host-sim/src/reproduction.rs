@@ -20,6 +20,9 @@ pub const NEAR_CONTINUOUS_RATE: f64 = 1e6;
 /// sliding surface, and 30 time constants 1/c of the errors from there.
 pub const SETTLED: f64 = 0.2;
 
+/// Periods between two moves of a progress bar: asking the clock for every one would cost as much as playing it.
+pub const PERIODS_PER_TICK: u64 = 1024;
+
 /// Points that a window of a run is drawn with.
 const POINTS: usize = 1000;
 
@@ -171,7 +174,6 @@ pub fn run(progress: &dyn Fn(u64) -> ProgressBar) -> Result<Reproduction, LinkEr
 
 /// Plays the paper's cycle in `S` and keeps what is drawn.
 pub fn play<S: SimulatedScalar>(scenario: &Scenario, bar: &ProgressBar) -> Result<Run, LinkError> {
-    const PERIODS_PER_TICK: u64 = 4096;
     let rate = scenario.timing.rate;
     let inertia = scenario.motor.inertia;
     let jumps: Vec<f64> = scenario.reference.steps.iter().map(|step| step.time).collect();
