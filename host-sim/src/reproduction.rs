@@ -54,6 +54,12 @@ impl Window {
             Self::Periods => 5.0..5.002,
         }
     }
+
+    /// Periods between two that are drawn, at a sampling rate (Hz). Odd, so as not to fall into step with a limit cycle.
+    fn stride(self, rate: f64) -> u64 {
+        let span = self.span();
+        ((span.end - span.start) * rate / POINTS as f64).ceil().max(1.0) as u64 | 1
+    }
 }
 
 /// A played run of the paper's cycle.
@@ -61,8 +67,6 @@ impl Window {
 pub struct Run {
     /// The law.
     pub controller: Controller,
-    /// Sampling rate (Hz).
-    pub rate: f64,
     /// Its figures.
     pub metrics: Metrics,
     /// Overshoot over the first commanded speed, before the second (% of it).
@@ -179,18 +183,15 @@ pub fn play<S: SimulatedScalar>(scenario: &Scenario, bar: &ProgressBar) -> Resul
     let jumps: Vec<f64> = scenario.reference.steps.iter().map(|step| step.time).collect();
     let first_speed = scenario.reference.steps.first().map_or(0.0, |step| step.value);
     let second_jump = jumps.get(1).copied().unwrap_or(f64::INFINITY);
+    let strides = Window::ALL.map(|window| window.stride(rate));
     let mut windows = vec![Vec::new(); Window::ALL.len()];
     let mut peak_speed: f64 = 0.0;
     let mut peak_disturbance_error: f64 = 0.0;
     let mut peak_error_norm: f64 = 0.0;
     let mut period: u64 = 0;
     let outcome = simulate::<S>(scenario, |frame| {
-        for (window, frames) in Window::ALL.iter().zip(&mut windows) {
-            let span = window.span();
-            // Odd, so as not to fall into step with a limit cycle.
-            let stride =
-                ((span.end - span.start) * rate / POINTS as f64).ceil().max(1.0) as u64 | 1;
-            if span.contains(&frame.time) && period.is_multiple_of(stride) {
+        for ((window, stride), frames) in Window::ALL.iter().zip(strides).zip(&mut windows) {
+            if period.is_multiple_of(stride) && window.span().contains(&frame.time) {
                 frames.push(*frame);
             }
         }
@@ -209,7 +210,6 @@ pub fn play<S: SimulatedScalar>(scenario: &Scenario, bar: &ProgressBar) -> Resul
     })?;
     Ok(Run {
         controller: scenario.control.controller,
-        rate,
         metrics: outcome.metrics,
         overshoot: (peak_speed / first_speed - 1.0) * 100.0,
         peak_disturbance_error,
