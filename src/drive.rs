@@ -119,28 +119,25 @@ pub struct Telemetry<S> {
     pub load_torque: S,
 }
 
-/// What the last driven period leaves for telemetry; zeros before the first.
-#[derive(Clone, Copy, Debug)]
-struct Record<S> {
-    driven: bool,
-    reference: Reference<S>,
-    signals: Signals<S>,
-    voltage: S,
-}
-
 /// A speed drive for one motor.
 #[derive(Clone, Debug)]
+#[repr(C)] // What every step loads comes first, in reach of short loads.
 pub struct Drive<S: Scalar> {
     mode: Mode,
-    shaper: Shaper<S>,
-    controller: Controller<S>,
-    duty_limit: S,
+    /// Whether the controller has started since the drive was armed.
+    started: bool,
+    /// Whether there was a driven period.
+    driven: bool,
     speed_limit: S,
     current_limit: S,
     bus_min: S,
     bus_max: S,
+    duty_limit: S,
+    /// The armature voltage that was asked of the bridge in the last driven period (V).
+    voltage: S,
+    shaper: Shaper<S>,
+    controller: Controller<S>,
     minus_inertia: S::Gain,
-    record: Record<S>,
 }
 
 impl<S: Scalar> Drive<S> {
@@ -160,17 +157,9 @@ impl<S: Scalar> Drive<S> {
             bus_min: S::from_f32(limits.bus_min),
             bus_max: S::from_f32(limits.bus_max),
             minus_inertia: S::gain(-motor.inertia),
-            record: Record {
-                driven: false,
-                reference: Reference::constant(S::ZERO),
-                signals: Signals {
-                    z1: S::ZERO,
-                    z2: S::ZERO,
-                    disturbance: S::ZERO,
-                    voltage: S::ZERO,
-                },
-                voltage: S::ZERO,
-            },
+            started: false,
+            driven: false,
+            voltage: S::ZERO,
         })
     }
 
@@ -180,8 +169,8 @@ impl<S: Scalar> Drive<S> {
             Mode::Faulted(fault) => Err(Refusal::Faulted(fault)),
             Mode::Running => Ok(()),
             Mode::Off => {
-                self.controller.reset();
                 self.shaper.reset(S::ZERO);
+                self.started = false;
                 self.mode = Mode::Running;
                 Ok(())
             }
@@ -230,12 +219,15 @@ impl<S: Scalar> Drive<S> {
             self.mode = Mode::Faulted(self.fault_in(sample));
             return BridgeCommand::Off;
         }
-        let record = &mut self.record;
-        record.reference = self.shaper.advance();
-        record.signals = self.controller.step(sample.speed, sample.current, &record.reference);
-        let duty = (record.signals.voltage / sample.bus_voltage).limited(self.duty_limit);
-        record.voltage = duty * sample.bus_voltage;
-        record.driven = true;
+        let reference = self.shaper.advance();
+        if !self.started {
+            self.controller.start(sample.speed, sample.current, reference);
+            self.started = true;
+        }
+        let wanted = self.controller.step(sample.speed, sample.current, reference);
+        let duty = (wanted / sample.bus_voltage).limited(self.duty_limit);
+        self.voltage = duty * sample.bus_voltage;
+        self.driven = true;
         BridgeCommand::Duty(duty)
     }
 
@@ -273,11 +265,11 @@ impl<S: Scalar> Drive<S> {
     /// What the last driven period did; nothing before the first.
     #[inline]
     pub fn telemetry(&self) -> Option<Telemetry<S>> {
-        let Record { driven, reference, signals, voltage } = self.record;
-        driven.then(|| Telemetry {
-            reference,
+        let signals = *self.controller.signals();
+        self.driven.then(|| Telemetry {
+            reference: *self.shaper.reference(),
             signals,
-            voltage,
+            voltage: self.voltage,
             sliding_variables: self.controller.sliding_variables(),
             load_torque: S::combine([(self.minus_inertia, signals.disturbance)]),
         })

@@ -39,29 +39,24 @@ pub trait Scalar:
     /// Σ gain·signal, summed in the given order. A scalar with a wide accumulator rounds once, at the end.
     fn combine<const N: usize>(terms: [(Self::Gain, Self); N]) -> Self;
 
-    /// Splits a position on a table into the segment it lies in and the distance from that segment's start.
-    ///
-    /// Positions below 0 belong to segment 0, positions beyond `last` to segment `last`.
-    fn segment(self, last: usize) -> (usize, Self);
+    /// Width of a segment of a table, in units of the position on it.
+    const SEGMENT: f32;
+
+    /// Index, from 0 to 31, of a table's segment in which this position lies. Positions below 0 belong to the first,
+    /// positions beyond the table to the last.
+    fn segment(self) -> usize;
 
     /// Whether this is a number that arithmetic can go on with (neither NaN nor infinite).
     fn is_finite(self) -> bool;
 
     /// The magnitude.
-    fn abs(self) -> Self {
-        if self < Self::ZERO { -self } else { self }
-    }
+    fn abs(self) -> Self;
+
+    /// The magnitude of this with the sign of `other`.
+    fn with_sign_of(self, other: Self) -> Self;
 
     /// The signal, limited to ±`bound` (`bound` must not be negative).
-    fn limited(self, bound: Self) -> Self {
-        if self > bound {
-            bound
-        } else if self < -bound {
-            -bound
-        } else {
-            self
-        }
-    }
+    fn limited(self, bound: Self) -> Self;
 }
 
 impl Scalar for f32 {
@@ -88,10 +83,12 @@ impl Scalar for f32 {
         }
     }
 
+    /// 32 segments fill what a `u32` holds, to which conversion saturates.
+    const SEGMENT: f32 = (1 << 27) as f32;
+
     #[inline]
-    fn segment(self, last: usize) -> (usize, f32) {
-        let whole = (self as u32).min(last as u32);
-        (whole as usize, self - whole as f32)
+    fn segment(self) -> usize {
+        (self as u32 >> 27) as usize
     }
 
     fn is_finite(self) -> bool {
@@ -101,6 +98,17 @@ impl Scalar for f32 {
     #[inline]
     fn abs(self) -> f32 {
         f32::abs(self)
+    }
+
+    #[inline]
+    fn with_sign_of(self, other: f32) -> f32 {
+        self.copysign(other)
+    }
+
+    /// Magnitudes compare as their bits do, without a branch. A NaN becomes the bound.
+    #[inline]
+    fn limited(self, bound: f32) -> f32 {
+        f32::from_bits(self.abs().to_bits().min(bound.to_bits())).copysign(self)
     }
 }
 
@@ -128,17 +136,21 @@ mod tests {
 
     #[test]
     fn segment_saturates_at_both_ends() {
-        assert_eq!(2.75.segment(8), (2, 0.75));
-        assert_eq!((-3.0).segment(8), (0, -3.0));
-        assert_eq!(9.5.segment(8), (8, 1.5));
-        assert_eq!(1e30.segment(8).0, 8);
+        assert_eq!((2.75 * f32::SEGMENT).segment(), 2);
+        assert_eq!((-3.0 * f32::SEGMENT).segment(), 0);
+        assert_eq!((31.5 * f32::SEGMENT).segment(), 31);
+        assert_eq!(1e30.segment(), 31);
     }
 
     #[test]
     fn limited_keeps_the_inside_and_saturates_outside() {
-        assert_eq!(0.5.limited(1.0), 0.5);
-        assert_eq!(2.0.limited(1.0), 1.0);
-        assert_eq!((-2.0).limited(1.0), -1.0);
+        for (value, limited) in
+            [(0.5, 0.5), (-0.5, -0.5), (2.0, 1.0), (-2.0, -1.0), (f32::NEG_INFINITY, -1.0)]
+        {
+            assert_eq!(value.limited(1.0), limited);
+        }
+        assert_eq!((-2.0).limited(0.0), 0.0);
+        assert_eq!(f32::NAN.limited(1.0).abs(), 1.0);
     }
 
     #[test]

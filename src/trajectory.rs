@@ -40,7 +40,9 @@ pub struct Shaper<S: Scalar> {
     filter: Option<Filter<S>>,
     target: S,
     /// The filter's output less the target: small where it settles, so that no small increment is lost to rounding.
-    rest: Reference<S>,
+    rest: S,
+    /// The reference at the last sample.
+    reference: Reference<S>,
 }
 
 /// Between samples the jerk is constant, so speed and acceleration follow exactly by integration, and each of the three
@@ -76,33 +78,49 @@ impl<S: Scalar> Shaper<S> {
                 })
             }
         };
-        Ok(Self { filter, target: S::ZERO, rest: Reference::constant(S::ZERO) })
+        let reference = Reference::constant(S::ZERO);
+        Ok(Self { filter, target: S::ZERO, rest: S::ZERO, reference })
     }
 
     /// Sets the commanded speed (rad/s).
     pub fn set_target(&mut self, target: S) {
-        self.rest.speed = self.rest.speed + (self.target - target);
+        self.rest = self.rest + (self.target - target);
         self.target = target;
     }
 
     /// Starts anew from a speed (rad/s), at rest in its derivatives.
     pub fn reset(&mut self, speed: S) {
-        self.rest = Reference::constant(speed - self.target);
+        self.rest = speed - self.target;
+        self.reference = Reference::constant(speed);
     }
 
-    /// The reference at the next sample.
+    /// Goes on to the next sample.
     #[inline]
-    pub fn advance(&mut self) -> Reference<S> {
-        let Some(filter) = &self.filter else {
-            return Reference::constant(self.target);
-        };
-        let Reference { speed, acceleration, jerk } = self.rest;
-        let speed =
-            speed + S::combine([(filter.period, acceleration), (filter.half_period_squared, jerk)]);
-        let acceleration = acceleration + S::combine([(filter.period, jerk)]);
-        let jerk = S::combine([(filter.stiffness, speed), (filter.damping, acceleration)]);
-        self.rest = Reference { speed, acceleration, jerk };
-        Reference { speed: self.target + speed, ..self.rest }
+    pub fn advance(&mut self) -> &Reference<S> {
+        let reference = &mut self.reference;
+        match &self.filter {
+            None => reference.speed = self.target,
+            Some(filter) => {
+                let Reference { acceleration, jerk, .. } = *reference;
+                self.rest = self.rest
+                    + S::combine([
+                        (filter.period, acceleration),
+                        (filter.half_period_squared, jerk),
+                    ]);
+                reference.speed = self.target + self.rest;
+                reference.acceleration = acceleration + S::combine([(filter.period, jerk)]);
+                reference.jerk = S::combine([
+                    (filter.stiffness, self.rest),
+                    (filter.damping, reference.acceleration),
+                ]);
+            }
+        }
+        reference
+    }
+
+    /// The reference at the last sample.
+    pub fn reference(&self) -> &Reference<S> {
+        &self.reference
     }
 }
 
@@ -115,7 +133,7 @@ mod tests {
     fn shaped(shape: Shape, samples: usize) -> impl Iterator<Item = Reference<f32>> {
         let mut shaper = Shaper::new(shape, RATE).expect("valid");
         shaper.set_target(100.0);
-        (0..samples).map(move |_| shaper.advance())
+        (0..samples).map(move |_| *shaper.advance())
     }
 
     #[test]

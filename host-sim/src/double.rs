@@ -64,13 +64,26 @@ impl Scalar for Double {
         Self(terms.iter().map(|(gain, signal)| gain * signal.0).sum())
     }
 
-    fn segment(self, last: usize) -> (usize, Self) {
-        let whole = (self.0 as usize).min(last);
-        (whole, Self(self.0 - whole as f64))
+    const SEGMENT: f32 = f32::SEGMENT;
+
+    fn segment(self) -> usize {
+        (self.0 as u32 >> 27) as usize
     }
 
     fn is_finite(self) -> bool {
         self.0.is_finite()
+    }
+
+    fn abs(self) -> Self {
+        Self(self.0.abs())
+    }
+
+    fn with_sign_of(self, other: Self) -> Self {
+        Self(self.0.copysign(other.0))
+    }
+
+    fn limited(self, bound: Self) -> Self {
+        Self(self.0.abs().min(bound.0)).with_sign_of(self)
     }
 }
 

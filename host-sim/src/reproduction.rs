@@ -10,6 +10,7 @@ use crate::scenario::{Controller, FormName, Scenario, ShapeName, StartName};
 use crate::simulation::simulate;
 use indicatif::ProgressBar;
 use quasidrive::control::bounds;
+use quasidrive::control::injection::SLOPE_ERROR;
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -227,7 +228,8 @@ impl Bounds {
         let disturbance = Disturbance { load: &scenario.load, inertia: scenario.motor.inertia };
         let estimation_error = |time: f64| {
             let (value, rate) = disturbance.at(time);
-            bounds::estimation(gains.epsilon1, gains.k1, value, rate)
+            // The bound is one on the slope of the tanh, which the drive has from a table.
+            bounds::estimation(gains.epsilon1, gains.k1, value, rate) / (1.0 - SLOPE_ERROR)
         };
         // A voltage that is up to a horizon old acts as a further part of ζ2, −(a2/La)·horizon·u̇, where quasi-statically
         // u follows the load with Ra·T_l/Kb.

@@ -96,6 +96,12 @@ impl<S: Scalar> Backstepping<S> {
         S::combine([(self.c, z1)]) + (modelled - reference.acceleration) + disturbance
     }
 
+    /// The rate that z2 is to have, −c·z2 − z1 (rad/s³).
+    #[inline]
+    pub fn z2_rate(&self, z1: S, z2: S) -> S {
+        -S::combine([(self.c, z2)]) - z1
+    }
+
     /// The armature voltage u (V); `lumped` is ζ̂2/k2 = −u2/k2.
     #[inline]
     pub fn voltage(

@@ -53,36 +53,33 @@ pub(super) struct ChannelConfig {
 /// the estimate of the unknown rate. In an observer the injection is part of the model, so it is taken off the
 /// mismatch at the next step; where it acts on the plant, the plant's answer does that.
 #[derive(Clone, Debug)]
+#[repr(C)] // What every step loads comes first, in reach of short loads; the table is last.
 pub(super) struct Channel<S: Scalar> {
-    per_layer: S::Gain,
-    rate_now: S::Gain,
-    rate_before: S::Gain,
-    correction: S::Gain,
-    limit: S,
-    before: Sampled<S>,
-    injection: Injection<S>,
-    layer: S::Gain,
-    beta: S::Gain,
-    form: Form,
-    start: Start,
-}
-
-/// A channel at a sample.
-#[derive(Clone, Copy, Debug)]
-struct Sampled<S> {
-    signal: S,
-    rate: S,
-    /// Mismatch ahead of the injection, σ/ε.
+    /// The signal at the last sample.
+    before: S,
+    /// What the last sample leaves of the next one's mismatch.
+    memory: S,
+    /// Mismatch σ ahead of the injection, in the signal's unit.
     mismatch: S,
     /// The injection g, within ±1.
-    injection: S,
+    value: S,
+    /// Time that the rate at a sample counts in the mismatch there, negative (s).
+    time_now: S::Gain,
+    /// Time that the rate at a sample counts in the mismatch at the next, negative (s).
+    time_after: S::Gain,
+    correction: S::Gain,
+    limit: S,
+    injection: Injection<S>,
+    reach: S::Gain,
+    start: Start,
 }
 
 impl<S: Scalar> Channel<S> {
     pub fn new(config: &ChannelConfig) -> Result<Self, ConfigError> {
         let ChannelConfig { strength, layer, layer_field, period, horizon, range, .. } = *config;
+        let beta = horizon * strength / layer;
         require(
-            horizon * strength / layer <= Injection::<S>::MAX_BETA,
+            beta <= Injection::<S>::MAX_BETA,
             layer_field,
             "must be larger: strength·horizon/layer may be 2000 at most",
             layer,
@@ -95,66 +92,48 @@ impl<S: Scalar> Channel<S> {
             layer,
         )?;
         let (beta, weight_now) = match config.form {
-            Form::Implicit => (horizon * strength / layer, 0.5),
+            Form::Implicit => (beta, 0.5),
             Form::Explicit => (0.0, 0.0),
         };
-        let correction = if config.observer { period * strength / layer } else { 0.0 };
+        let correction = if config.observer { period * strength } else { 0.0 };
         Ok(Self {
-            per_layer: S::gain(1.0 / layer),
-            rate_now: S::gain(-weight_now * period / layer),
-            rate_before: S::gain((weight_now - 1.0) * period / layer),
+            before: S::ZERO,
+            memory: S::ZERO,
+            mismatch: S::ZERO,
+            value: S::ZERO,
+            time_now: S::gain(-weight_now * period),
+            time_after: S::gain((weight_now - 1.0) * period),
             correction: S::gain(-correction),
-            limit: S::from_f32(range / layer + beta),
-            before: Sampled {
-                signal: S::ZERO,
-                rate: S::ZERO,
-                mismatch: S::ZERO,
-                injection: S::ZERO,
-            },
-            injection: Injection::new(beta),
-            layer: S::gain(layer),
-            beta: S::gain(-beta),
-            form: config.form,
+            limit: S::from_f32(range + beta * layer),
+            injection: Injection::new(beta, layer),
+            reach: S::gain(-beta * layer),
             start: config.start,
         })
     }
 
-    /// Starts at a sample: makes up a sample before it, from which the first step gets the mismatch that it is to have.
+    /// Starts at a sample: makes up a memory from which the first step gets the mismatch that it is to have.
     pub fn start(&mut self, signal: S, rate: S) {
-        self.before = Sampled {
-            signal: match self.start {
-                Start::Matched => signal,
-                Start::Zero => S::ZERO,
-            },
-            // Either way the two rates add up to nothing.
-            rate: match self.form {
-                Form::Implicit => -rate,
-                Form::Explicit => S::ZERO,
-            },
-            mismatch: S::ZERO,
-            injection: S::ZERO,
+        self.before = match self.start {
+            Start::Matched => signal,
+            Start::Zero => S::ZERO,
         };
+        self.memory = -S::combine([(self.time_now, rate)]);
     }
 
     /// One step: the signal and its modelled rate at this sample → the injection g, within ±1.
     #[inline]
-    pub fn advance(&mut self, signal: S, rate: S) -> S {
-        let before = &self.before;
-        let growth = S::combine([
-            (self.per_layer, signal - before.signal),
-            (self.rate_now, rate),
-            (self.rate_before, before.rate),
-            (self.correction, before.injection),
-        ]);
-        let mismatch = (before.mismatch + growth).limited(self.limit);
-        let injection = self.injection.value(mismatch);
-        self.before = Sampled { signal, rate, mismatch, injection };
-        injection
+    pub fn step(&mut self, signal: S, rate: S) -> S {
+        let growth = (signal - self.before) + S::combine([(self.time_now, rate)]);
+        self.mismatch = (self.memory + growth).limited(self.limit);
+        self.value = self.injection.value(self.mismatch);
+        self.before = signal;
+        self.memory =
+            self.mismatch + S::combine([(self.time_after, rate), (self.correction, self.value)]);
+        self.value
     }
 
     /// The sliding variable y, for which the injection is k·tanh(y/ε), in the signal's unit.
     pub fn sliding_variable(&self) -> S {
-        let Sampled { mismatch, injection, .. } = self.before;
-        S::combine([(self.layer, mismatch + S::combine([(self.beta, injection)]))])
+        self.mismatch + S::combine([(self.reach, self.value)])
     }
 }

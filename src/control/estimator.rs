@@ -15,41 +15,36 @@
 //!
 //! Erratum: (53) prints u2 = +kc2·tanh(s2/η2), which diverges.
 
-use super::channel::{Channel, ChannelConfig, Form, Start};
-use super::config::{Gains, Timing};
+use super::channel::{Channel, ChannelConfig, Start};
+use super::config::{ControlConfig, Law, Timing};
 use crate::config::ConfigError;
 use crate::math::Scalar;
-
-/// What an estimator remembers.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Memory {
-    /// Observer states x̂1 and ẑ2 (QSMDO).
-    Observer,
-    /// Integral sliding variables s1 and s2 (QISMC).
-    Integral,
-}
+use crate::trajectory::Reference;
 
 /// Estimator of the disturbance and of the lumped uncertainty of the second backstepping error.
 #[derive(Clone, Debug)]
+#[repr(C)] // What every step loads comes first, in reach of short loads.
 pub(super) struct Estimator<S: Scalar> {
-    memory: Memory,
+    /// How much of the reference's motion is taken off what the first channel watches: nothing (QSMDO) or all (QISMC).
+    share: S::Gain,
+    k1: S::Gain,
     first: Channel<S>,
     second: Channel<S>,
-    k1: S::Gain,
-    minus_c: S::Gain,
 }
 
 impl<S: Scalar> Estimator<S> {
     /// `speed_range` (rad/s) and `z2_range` (rad/s²) bound the mismatch that each channel remembers.
     pub fn new(
-        memory: Memory,
-        gains: &Gains,
+        config: &ControlConfig,
         timing: &Timing,
-        form: Form,
-        start: Start,
         (speed_range, z2_range): (f32, f32),
     ) -> Result<Self, ConfigError> {
+        let gains = &config.gains;
         let period = timing.period();
+        let (share, start) = match config.law {
+            Law::Qismc => (1.0, Start::Matched),
+            Law::Qsmdo | Law::Backstepping => (0.0, config.start),
+        };
         let first = ChannelConfig {
             strength: gains.k1,
             layer: gains.epsilon1,
@@ -57,7 +52,7 @@ impl<S: Scalar> Estimator<S> {
             period,
             horizon: period,
             observer: true,
-            form,
+            form: config.form,
             start,
             range: speed_range,
         };
@@ -71,50 +66,44 @@ impl<S: Scalar> Estimator<S> {
             ..first
         };
         Ok(Self {
-            memory,
+            share: S::gain(share),
+            k1: S::gain(gains.k1),
             first: Channel::new(&first)?,
             second: Channel::new(&second)?,
-            k1: S::gain(gains.k1),
-            minus_c: S::gain(-gains.c),
         })
     }
 
-    /// Starts the first channel anew at a sample; arguments as for [`disturbance`](Self::disturbance).
-    pub fn start_disturbance(&mut self, speed: S, z1: S, modelled: S, wanted: S) {
-        let (signal, rate) = self.watched(speed, z1, modelled, wanted);
+    /// Starts the first channel at a sample; arguments as for [`disturbance`](Self::disturbance).
+    pub fn start_disturbance(&mut self, speed: S, modelled: S, reference: &Reference<S>) {
+        let (signal, rate) = self.watched(speed, modelled, reference);
         self.first.start(signal, rate);
     }
 
-    /// Starts the second channel anew at a sample; arguments as for [`lumped`](Self::lumped).
-    pub fn start_lumped(&mut self, z1: S, z2: S) {
-        self.second.start(z2, self.wanted_z2_rate(z1, z2));
+    /// Starts the second channel at a sample; arguments as for [`lumped`](Self::lumped).
+    pub fn start_lumped(&mut self, z2: S, wanted_rate: S) {
+        self.second.start(z2, wanted_rate);
     }
 
-    /// d̂ (rad/s²), from the speed ω, the error z1, the acceleration −a1·ω + a2·i and the reference's acceleration ω̇_d.
+    /// d̂ (rad/s²), from the speed ω, the acceleration −a1·ω + a2·i and the reference.
     #[inline]
-    pub fn disturbance(&mut self, speed: S, z1: S, modelled: S, wanted: S) -> S {
-        let (signal, rate) = self.watched(speed, z1, modelled, wanted);
-        S::combine([(self.k1, self.first.advance(signal, rate))])
+    pub fn disturbance(&mut self, speed: S, modelled: S, reference: &Reference<S>) -> S {
+        let (signal, rate) = self.watched(speed, modelled, reference);
+        S::combine([(self.k1, self.first.step(signal, rate))])
     }
 
-    /// ζ̂2/k2 = −u2/k2, within ±1, from the two errors.
+    /// ζ̂2/k2 = −u2/k2, within ±1, from z2 and the rate −c·z2 − z1 that it is to have.
     #[inline]
-    pub fn lumped(&mut self, z1: S, z2: S) -> S {
-        self.second.advance(z2, self.wanted_z2_rate(z1, z2))
+    pub fn lumped(&mut self, z2: S, wanted_rate: S) -> S {
+        self.second.step(z2, wanted_rate)
     }
 
     /// What the first channel watches, and its modelled rate.
     #[inline]
-    fn watched(&self, speed: S, z1: S, modelled: S, wanted: S) -> (S, S) {
-        match self.memory {
-            Memory::Observer => (speed, modelled),
-            Memory::Integral => (z1, modelled - wanted),
-        }
-    }
-
-    #[inline]
-    fn wanted_z2_rate(&self, z1: S, z2: S) -> S {
-        S::combine([(self.minus_c, z2)]) - z1
+    fn watched(&self, speed: S, modelled: S, reference: &Reference<S>) -> (S, S) {
+        (
+            speed - S::combine([(self.share, reference.speed)]),
+            modelled - S::combine([(self.share, reference.acceleration)]),
+        )
     }
 
     /// The sliding variables: ω − x̂1 or s1 (rad/s), z2 − ẑ2 or s2 (rad/s²).

@@ -22,7 +22,7 @@ use backstepping::Backstepping;
 pub use channel::{Form, Start};
 pub(crate) use config::Ranges;
 pub use config::{ControlConfig, Gains, Law, Timing};
-use estimator::{Estimator, Memory};
+use estimator::Estimator;
 
 /// What a control step saw and decided.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -39,11 +39,11 @@ pub struct Signals<S> {
 
 /// A speed controller: coefficients that are built once, and the state of its estimator.
 #[derive(Clone, Debug)]
+#[repr(C)] // What every step loads comes first, in reach of short loads.
 pub struct Controller<S: Scalar> {
+    last: Signals<S>,
     law: Backstepping<S>,
     estimator: Option<Estimator<S>>,
-    /// Whether the next step is a first one.
-    fresh: bool,
 }
 
 impl<S: Scalar> Controller<S> {
@@ -63,51 +63,55 @@ impl<S: Scalar> Controller<S> {
             "must be at most 0.4 of 1/horizon, the horizon being a period, or two with the delay",
             gains.c,
         )?;
-        let (memory, start) = match config.law {
-            Law::Backstepping => (None, Start::Matched),
-            Law::Qsmdo => (Some(Memory::Observer), config.start),
-            Law::Qismc => (Some(Memory::Integral), Start::Matched),
-        };
         let law = Backstepping::new(motor, gains, ranges)?;
-        let estimator = match memory {
-            Some(memory) => {
+        let estimator = match config.law {
+            Law::Backstepping => None,
+            Law::Qsmdo | Law::Qismc => {
                 let ranges = (ranges.speed_error(), ranges.z2(motor, gains));
-                Some(Estimator::new(memory, gains, timing, config.form, start, ranges)?)
+                Some(Estimator::new(config, timing, ranges)?)
             }
-            None => None,
         };
-        Ok(Self { law, estimator, fresh: true })
+        let last = Signals { z1: S::ZERO, z2: S::ZERO, disturbance: S::ZERO, voltage: S::ZERO };
+        Ok(Self { last, law, estimator })
     }
 
-    /// Forgets the past: the next step is a first one.
-    pub fn reset(&mut self) {
-        self.fresh = true;
+    /// Forgets the past and starts at a sample, of which [`step`](Self::step) is to be told next.
+    pub fn start(&mut self, speed: S, current: S, reference: &Reference<S>) {
+        let Some(estimator) = &mut self.estimator else { return };
+        let modelled = self.law.modelled_acceleration(speed, current);
+        let z1 = speed - reference.speed;
+        estimator.start_disturbance(speed, modelled, reference);
+        // The second channel starts from the z2 that the step is going to have.
+        let disturbance = estimator.disturbance(speed, modelled, reference);
+        let z2 = self.law.z2(z1, modelled, reference, disturbance);
+        estimator.start_lumped(z2, self.law.z2_rate(z1, z2));
+        estimator.start_disturbance(speed, modelled, reference);
     }
 
-    /// One step: from the speed ω (rad/s), the armature current i (A) and the reference to the voltage.
+    /// One step: from the speed ω (rad/s), the armature current i (A) and the reference to the wanted armature voltage u
+    /// (V), before any limit.
     // Not inlined, for its instructions to be counted apart from its caller's.
     #[inline(never)]
-    pub fn step(&mut self, speed: S, current: S, reference: &Reference<S>) -> Signals<S> {
+    pub fn step(&mut self, speed: S, current: S, reference: &Reference<S>) -> S {
         let z1 = speed - reference.speed;
         let modelled = self.law.modelled_acceleration(speed, current);
-        let Some(estimator) = &mut self.estimator else {
-            let z2 = self.law.z2(z1, modelled, reference, S::ZERO);
-            let none = (S::ZERO, S::ZERO);
-            let voltage = self.law.voltage((speed, current), (z1, z2), reference, none);
-            return Signals { z1, z2, disturbance: S::ZERO, voltage };
+        let (z2, disturbance, lumped) = match &mut self.estimator {
+            Some(estimator) => {
+                let disturbance = estimator.disturbance(speed, modelled, reference);
+                let z2 = self.law.z2(z1, modelled, reference, disturbance);
+                (z2, disturbance, estimator.lumped(z2, self.law.z2_rate(z1, z2)))
+            }
+            None => (self.law.z2(z1, modelled, reference, S::ZERO), S::ZERO, S::ZERO),
         };
-        let fresh = core::mem::replace(&mut self.fresh, false);
-        if fresh {
-            estimator.start_disturbance(speed, z1, modelled, reference.acceleration);
-        }
-        let disturbance = estimator.disturbance(speed, z1, modelled, reference.acceleration);
-        let z2 = self.law.z2(z1, modelled, reference, disturbance);
-        if fresh {
-            estimator.start_lumped(z1, z2);
-        }
-        let estimates = (disturbance, estimator.lumped(z1, z2));
+        let estimates = (disturbance, lumped);
         let voltage = self.law.voltage((speed, current), (z1, z2), reference, estimates);
-        Signals { z1, z2, disturbance, voltage }
+        self.last = Signals { z1, z2, disturbance, voltage };
+        voltage
+    }
+
+    /// What the last step saw and decided; zeros before the first.
+    pub fn signals(&self) -> &Signals<S> {
+        &self.last
     }
 
     /// The sliding variables of the last step, zero in plain backstepping: ω − x̂1 (QISMC: s1) (rad/s) and
