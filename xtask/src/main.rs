@@ -6,6 +6,7 @@ mod interrupt;
 mod packages;
 mod setup;
 mod shell;
+mod thumb;
 
 use anyhow::Result;
 use clap::{Parser, Subcommand};
