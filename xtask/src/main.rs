@@ -2,6 +2,7 @@
 
 mod count;
 mod cross;
+mod cycles;
 mod interrupt;
 mod packages;
 mod setup;
@@ -43,7 +44,7 @@ enum Task {
         #[arg(long, default_value = "auto")]
         toolchain: ToolchainChoice,
     },
-    /// Count the control step's instructions in QEMU, and the image's bytes; compare with xtask/counts.txt.
+    /// Count the control step's instructions in QEMU, model its cycles, measure the image; compare with xtask/counts.txt.
     Count {
         /// Where the standard library for Cortex-M comes from.
         #[arg(long, default_value = "auto")]

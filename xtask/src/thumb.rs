@@ -27,6 +27,7 @@ pub struct Instruction {
     /// Capstone's: without width or condition.
     pub name: String,
     pub operands: Vec<Operand>,
+    pub reads: Vec<String>,
     pub writes: Vec<String>,
     /// Whether a load or store changes its base register.
     pub writes_back: bool,
@@ -35,7 +36,7 @@ pub struct Instruction {
 pub enum Operand {
     Register(String),
     Immediate(i64),
-    Memory { base: String, offset: i64 },
+    Memory { base: String, index: Option<String>, offset: i64 },
     Other,
 }
 
@@ -81,6 +82,13 @@ impl Code {
             functions.insert(start, Function { name, instructions });
         }
         Ok(Self { functions })
+    }
+
+    /// The instruction at an address.
+    pub fn at(&self, address: u64) -> Result<&Instruction> {
+        let function = self.functions.range(..=address).next_back();
+        let instruction = function.and_then(|(_, function)| function.instructions.get(&address));
+        instruction.with_context(|| format!("no instruction at {address:#x}"))
     }
 }
 
@@ -129,6 +137,7 @@ impl Decoder {
             ArmOperandType::Imm(value) => Immediate(value.into()),
             ArmOperandType::Mem(memory) => Memory {
                 base: register(memory.base()).unwrap_or_default(),
+                index: register(memory.index()),
                 offset: memory.disp().into(),
             },
             _ => Operand::Other,
@@ -140,6 +149,7 @@ impl Decoder {
             size: decoded.len() as u64,
             name: name.or(decoded.mnemonic().map(str::to_owned)).context("no name")?,
             operands: arm.operands().map(|one| operand(one.op_type)).collect(),
+            reads: registers(detail.regs_read()),
             writes: registers(detail.regs_write()),
             writes_back: arm.writeback(),
         })
@@ -156,12 +166,28 @@ impl Instruction {
         self.writes.iter().any(|written| written == register)
     }
 
+    /// Whether it may go elsewhere than to the next.
+    pub fn may_branch(&self) -> bool {
+        // Capstone does not always say that a branch writes the PC.
+        let branches = ["b", "bl", "blx", "bx", "cbz", "cbnz", "tbb", "tbh"];
+        branches.contains(&&*self.name) || self.writes("pc")
+    }
+
     /// The operands that are registers, but for those in addresses.
     pub fn registers(&self) -> impl Iterator<Item = &String> {
         self.operands.iter().filter_map(|operand| match operand {
             Register(name) => Some(name),
             _ => None,
         })
+    }
+
+    /// The registers that make the address of a load or store of one.
+    pub fn address_registers(&self) -> Vec<&String> {
+        let memory = self.operands.iter().find_map(|operand| match operand {
+            Memory { base, index, .. } => Some([Some(base), index.as_ref()]),
+            _ => None,
+        });
+        memory.into_iter().flatten().flatten().collect()
     }
 
     /// Words that a load or store of several moves.
