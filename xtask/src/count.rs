@@ -8,10 +8,13 @@
 
 use crate::cross::Cross;
 use crate::cycles::cycles;
+use crate::debug_info::DebugInfo;
+use crate::interrupt;
 use crate::shell::{cargo, root};
 use crate::thumb::{Code, Meaning};
 use anyhow::{Context, Result, bail, ensure};
 use object::{Object, ObjectSection, ObjectSymbol, SectionKind};
+use std::collections::BTreeSet;
 use std::fmt::Write;
 use std::fs::{self, File};
 use std::io::{BufRead, BufReader};
@@ -25,6 +28,10 @@ const DURATION: &str = "0.05";
 const TOLERANCE: f64 = 0.05;
 
 const GOLDEN: &str = "xtask/counts.txt";
+
+/// The sources of what the two estimators are made of.
+const ESTIMATORS: [&str; 3] =
+    ["src/control/estimator.rs", "src/control/channel.rs", "src/control/injection.rs"];
 
 /// Builds the firmware, counts and prints; compares with the golden table, or rewrites it.
 pub fn count(cross: &Cross, rewrite: bool) -> Result<()> {
@@ -63,6 +70,8 @@ fn table(elf: &Path) -> Result<String> {
     ensure!((100..110).contains(&known), "the calibration has {known} instructions");
 
     let code = Code::read(&image)?;
+    let debug_info = DebugInfo::read(&image)?;
+    let estimators = estimators(&code, &debug_info, &law)?;
 
     let mut table = String::from(
         "executed instructions, and cycles of the dearest call (a model, about ±15 %)\n",
@@ -85,12 +94,15 @@ fn table(elf: &Path) -> Result<String> {
                 Ok(())
             };
             row("law", trace.calls(&law, |address| law.contains(&address)))?;
+            row("estimators in it", trace.calls(&law, |address| estimators.contains(&address)))?;
             let in_step = |address| step.contains(&address) || law.contains(&address);
             row("Drive::step", trace.calls(&step, in_step))?;
         }
     }
     writeln!(table, "\nbytes")?;
-    for (name, bytes) in sizes(&image) {
+    let state = ("control core, state: Drive<f32>", debug_info.size_of("Drive<f32>")?);
+    let stack = ("control interrupt, stack", interrupt::reach(&code)?.stack);
+    for (name, bytes) in sizes(&image).into_iter().chain([state, stack]) {
         writeln!(table, "{name:<43} {bytes:>5}")?;
     }
     Ok(table)
@@ -105,6 +117,24 @@ fn row(calls: &[Cost], has_cycles: bool) -> Result<String> {
     let dearest = calls.iter().map(|call| call.cycles).max().filter(|_| has_cycles);
     let cycles = dearest.map(|cycles| format!(" {cycles:>7}")).unwrap_or_default();
     Ok(format!("{min:>5} {mean:>7.1} {max:>7}{cycles}"))
+}
+
+/// Addresses of the instructions in a function that are from the estimators, as the compiler attributes them: one that serves
+/// two places is attributed to one.
+fn estimators(code: &Code, debug_info: &DebugInfo, function: &Range<u64>) -> Result<BTreeSet<u64>> {
+    let instructions = &code.functions.get(&function.start).context("no function")?.instructions;
+    let mut estimators = BTreeSet::new();
+    let mut missing = BTreeSet::from(ESTIMATORS);
+    for address in instructions.keys() {
+        for source in debug_info.sources(*address)? {
+            if let Some(file) = ESTIMATORS.iter().find(|file| source.ends_with(*file)) {
+                estimators.insert(*address);
+                missing.remove(file);
+            }
+        }
+    }
+    ensure!(missing.is_empty(), "no instruction of the law is from {missing:?}");
+    Ok(estimators)
 }
 
 /// Addresses of the one function whose mangled name holds both parts.

@@ -3,6 +3,7 @@
 mod count;
 mod cross;
 mod cycles;
+mod debug_info;
 mod interrupt;
 mod packages;
 mod setup;
