@@ -2,13 +2,19 @@
 //! size.
 //!
 //! QEMU runs one instruction at a time and logs the address of each one in the counted functions, while the drive runs the
-//! start of the paper's cycle in closed loop. The numbers are exact and repeatable. They are instructions, not cycles;
-//! one that is skipped inside an IT block counts as one. A function of known length shows that none is missed.
+//! start of the paper's cycle in closed loop. The numbers are exact and repeatable; one that is skipped inside an IT block
+//! counts as one. A function of known length shows that none is missed. Cycles are a model's ([`crate::cycles`]), for the
+//! Cortex-M4F only: a Cortex-M7 runs two instructions at a time, which no table tells.
 
 use crate::cross::Cross;
+use crate::cycles::cycles;
+use crate::debug_info::DebugInfo;
+use crate::interrupt;
 use crate::shell::{cargo, root};
+use crate::thumb::{Code, Meaning};
 use anyhow::{Context, Result, bail, ensure};
 use object::{Object, ObjectSection, ObjectSymbol, SectionKind};
+use std::collections::BTreeSet;
 use std::fmt::Write;
 use std::fs::{self, File};
 use std::io::{BufRead, BufReader};
@@ -22,6 +28,10 @@ const DURATION: &str = "0.05";
 const TOLERANCE: f64 = 0.05;
 
 const GOLDEN: &str = "xtask/counts.txt";
+
+/// The sources of what the two estimators are made of.
+const ESTIMATORS: [&str; 3] =
+    ["src/control/estimator.rs", "src/control/channel.rs", "src/control/injection.rs"];
 
 /// Builds the firmware, counts and prints; compares with the golden table, or rewrites it.
 pub fn count(cross: &Cross, rewrite: bool) -> Result<()> {
@@ -59,32 +69,72 @@ fn table(elf: &Path) -> Result<String> {
     let known = (calibration.end - calibration.start) / 2;
     ensure!((100..110).contains(&known), "the calibration has {known} instructions");
 
-    let mut table = String::from("executed instructions             min    mean     max\n");
-    for (core, machine) in [("Cortex-M4F", "mps2-an386"), ("Cortex-M7", "mps2-an500")] {
+    let code = Code::read(&image)?;
+    let debug_info = DebugInfo::read(&image)?;
+    let estimators = estimators(&code, &debug_info, &law)?;
+
+    let mut table = String::from(
+        "executed instructions, and cycles of the dearest call (a model, about ±15 %)\n",
+    );
+    writeln!(table, "{:<43} {:>5} {:>7} {:>7} {:>7}", "", "min", "mean", "max", "cycles")?;
+    for (core, machine, has_cycles) in
+        [("Cortex-M4F", "mps2-an386", true), ("Cortex-M7", "mps2-an500", false)]
+    {
         for controller in ["bs", "bs-qsmdo", "bs-qismc"] {
-            let trace = Trace::record(controller, machine, &[&step, &law, &calibration])?;
-            let calls = trace.calls(&calibration, &[&calibration]);
+            let counted = [&step, &law, &calibration];
+            let trace = Trace::record(controller, machine, &counted, &code)?;
+            let calls = trace.calls(&calibration, |address| calibration.contains(&address));
             ensure!(
-                calls == [known],
-                "the calibration ran {calls:?} instructions, not {known} once"
+                matches!(calls[..], [Cost { instructions, .. }] if instructions == known),
+                "the calibration ran {calls:?}, not {known} instructions once"
             );
-            let mut row = |what: &str, calls: Vec<u64>| -> Result<()> {
-                let (min, max) = (calls.iter().min(), calls.iter().max());
-                let (min, max) = min.zip(max).context("no call was counted")?;
-                let mean = calls.iter().sum::<u64>() as f64 / calls.len() as f64;
-                let name = format!("{core} {controller} {what}");
-                writeln!(table, "{name:<32} {min:>5} {mean:>7.1} {max:>7}")?;
+            let mut row = |what: &str, calls: Vec<Cost>| -> Result<()> {
+                let row = row(&calls, has_cycles)?;
+                writeln!(table, "{:<43} {row}", format!("{core} {controller} {what}"))?;
                 Ok(())
             };
-            row("law", trace.calls(&law, &[&law]))?;
-            row("Drive::step", trace.calls(&step, &[&step, &law]))?;
+            row("law", trace.calls(&law, |address| law.contains(&address)))?;
+            row("estimators in it", trace.calls(&law, |address| estimators.contains(&address)))?;
+            let in_step = |address| step.contains(&address) || law.contains(&address);
+            row("Drive::step", trace.calls(&step, in_step))?;
         }
     }
     writeln!(table, "\nbytes")?;
-    for (name, bytes) in sizes(&image) {
-        writeln!(table, "{name:<32} {bytes:>5}")?;
+    let state = ("control core, state: Drive<f32>", debug_info.size_of("Drive<f32>")?);
+    let stack = ("control interrupt, stack", interrupt::reach(&code)?.stack);
+    for (name, bytes) in sizes(&image).into_iter().chain([state, stack]) {
+        writeln!(table, "{name:<43} {bytes:>5}")?;
     }
     Ok(table)
+}
+
+/// The numbers of a row of the table.
+fn row(calls: &[Cost], has_cycles: bool) -> Result<String> {
+    let instructions = || calls.iter().map(|call| call.instructions);
+    let (min, max) = (instructions().min(), instructions().max());
+    let (min, max) = min.zip(max).context("no call was counted")?;
+    let mean = instructions().sum::<u64>() as f64 / calls.len() as f64;
+    let dearest = calls.iter().map(|call| call.cycles).max().filter(|_| has_cycles);
+    let cycles = dearest.map(|cycles| format!(" {cycles:>7}")).unwrap_or_default();
+    Ok(format!("{min:>5} {mean:>7.1} {max:>7}{cycles}"))
+}
+
+/// Addresses of the instructions in a function that are from the estimators, as the compiler attributes them: one that serves
+/// two places is attributed to one.
+fn estimators(code: &Code, debug_info: &DebugInfo, function: &Range<u64>) -> Result<BTreeSet<u64>> {
+    let instructions = &code.functions.get(&function.start).context("no function")?.instructions;
+    let mut estimators = BTreeSet::new();
+    let mut missing = BTreeSet::from(ESTIMATORS);
+    for address in instructions.keys() {
+        for source in debug_info.sources(*address)? {
+            if let Some(file) = ESTIMATORS.iter().find(|file| source.ends_with(*file)) {
+                estimators.insert(*address);
+                missing.remove(file);
+            }
+        }
+    }
+    ensure!(missing.is_empty(), "no instruction of the law is from {missing:?}");
+    Ok(estimators)
 }
 
 /// Addresses of the one function whose mangled name holds both parts.
@@ -121,12 +171,25 @@ fn sizes(image: &object::File) -> [(&'static str, u64); 3] {
     ]
 }
 
-/// The addresses of executed instructions, in order.
-struct Trace(Vec<u64>);
+/// What a call or an instruction costs.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Cost {
+    instructions: u64,
+    /// Modelled.
+    cycles: u64,
+}
+
+/// The addresses of executed instructions, in order, and their modelled cycles.
+struct Trace(Vec<(u64, u64)>);
 
 impl Trace {
     /// Plays the start of the paper's cycle on a machine and records what runs in `functions`.
-    fn record(controller: &str, machine: &str, functions: &[&Range<u64>]) -> Result<Self> {
+    fn record(
+        controller: &str,
+        machine: &str,
+        functions: &[&Range<u64>],
+        code: &Code,
+    ) -> Result<Self> {
         let log = root().join("target/firmware/trace.log");
         let filter: Vec<String> = functions
             .iter()
@@ -143,29 +206,50 @@ impl Trace {
             .run()?;
         let mut addresses = Vec::new();
         for line in BufReader::new(File::open(&log)?).lines() {
-            // Trace 0: 0x7f725c0bfe40 [00800401/00000fb4/00000010/ff000201] name
-            let line = line?;
-            let address = line.split('/').nth(1).and_then(|hex| u64::from_str_radix(hex, 16).ok());
-            addresses.push(address.with_context(|| format!("not a line of a trace: {line}"))?);
+            addresses.push(address(&line?)?);
         }
         fs::remove_file(&log)?;
-        Ok(Self(addresses))
+        all_is_counted(&addresses, functions, code)?;
+        let cycles = cycles(code, &addresses)?;
+        Ok(Self(addresses.into_iter().zip(cycles).collect()))
     }
 
-    /// Instructions of each call of `function`, with those of the functions `within` that it calls.
-    fn calls(&self, function: &Range<u64>, within: &[&Range<u64>]) -> Vec<u64> {
+    /// What each call of `function` costs, as far as `is_counted`.
+    fn calls(&self, function: &Range<u64>, is_counted: impl Fn(u64) -> bool) -> Vec<Cost> {
         let mut calls = Vec::new();
-        for address in &self.0 {
+        for (address, cycles) in &self.0 {
             if *address == function.start {
-                calls.push(0);
+                calls.push(Cost::default());
             }
-            let counts = within.iter().any(|range| range.contains(address));
-            if let (true, Some(call)) = (counts, calls.last_mut()) {
-                *call += 1;
+            if let (true, Some(call)) = (is_counted(*address), calls.last_mut()) {
+                call.instructions += 1;
+                call.cycles += cycles;
             }
         }
         calls
     }
+}
+
+/// The address in a line of QEMU's log: `Trace 0: 0x7f725c0bfe40 [00800401/00000fb4/00000010/ff000201] name`.
+fn address(line: &str) -> Result<u64> {
+    let address = line.split('/').nth(1).and_then(|hex| u64::from_str_radix(hex, 16).ok());
+    address.with_context(|| format!("not a line of a trace: {line}"))
+}
+
+/// Fails if what was executed called a function that is not counted.
+fn all_is_counted(executed: &[u64], functions: &[&Range<u64>], code: &Code) -> Result<()> {
+    for (address, next) in executed.iter().zip(executed.iter().skip(1)) {
+        let instruction = code.at(*address)?;
+        let leaves = match instruction.meaning() {
+            Meaning::Branch(target) => !functions.iter().any(|range| range.contains(&target)),
+            Meaning::Unknown => true,
+            Meaning::Plain | Meaning::Stack(_) => false,
+        };
+        // A branch that is not taken goes nowhere; a call comes back to the next.
+        let is_taken = instruction.name.starts_with("bl") || *next != instruction.end();
+        ensure!(!(leaves && is_taken), "what {address:#x} calls is not counted");
+    }
+    Ok(())
 }
 
 /// What differs between two tables by more than the tolerance, a line each.
@@ -198,13 +282,38 @@ fn deviations(table: &str, golden: &str) -> Result<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::thumb::tests::code;
+
+    #[test]
+    fn lines_of_a_trace_are_read() {
+        let line = "Trace 0: 0x7f725c0bfe40 [00800401/00000fb4/00000010/ff000201] step";
+        assert_eq!(address(line).expect("an address"), 0xfb4);
+        assert!(address("Stopped execution of TB chain before 0x7f725c0bfe40").is_err());
+    }
+
+    #[test]
+    fn a_call_that_is_not_counted_is_refused() {
+        // beq.w to 0x100; bl to 0x200; bx lr
+        let code = code(&[(0, "caller", &[0xf000, 0x807e, 0xf000, 0xf8fc, 0x4770])]);
+        let counted =
+            |executed: &[u64]| all_is_counted(executed, &[&(0..10), &(0x200..0x210)], &code);
+        assert!(counted(&[0, 4]).is_ok(), "not taken");
+        assert!(counted(&[0, 8]).is_err(), "taken, not counted, back at 8");
+        assert!(counted(&[4, 0x200]).is_ok(), "counted");
+        let only_caller = all_is_counted(&[4, 8], &[&(0..10)], &code);
+        assert!(only_caller.is_err(), "a call that comes back");
+    }
 
     #[test]
     fn calls_are_told_apart_and_counted_with_their_callees() {
         let (outer, inner) = (100..120, 200..210);
-        let trace = Trace(vec![100, 102, 200, 202, 104, 100, 110, 104]);
-        assert_eq!(trace.calls(&outer, &[&outer, &inner]), [5, 3]);
-        assert_eq!(trace.calls(&inner, &[&inner]), [2]);
+        let trace = [100, 102, 200, 202, 104, 100, 110, 104].map(|address| (address, 2));
+        let trace = Trace(trace.into());
+        let cost = |instructions| Cost { instructions, cycles: 2 * instructions };
+        let both = |address| outer.contains(&address) || inner.contains(&address);
+        assert_eq!(trace.calls(&outer, both), [cost(5), cost(3)]);
+        assert_eq!(trace.calls(&inner, |address| inner.contains(&address)), [cost(2)]);
+        assert_eq!(trace.calls(&outer, |address| address == 202), [cost(1), cost(0)]);
     }
 
     #[test]

@@ -2,10 +2,13 @@
 
 mod count;
 mod cross;
+mod cycles;
+mod debug_info;
 mod interrupt;
 mod packages;
 mod setup;
 mod shell;
+mod thumb;
 
 use anyhow::Result;
 use clap::{Parser, Subcommand};
@@ -42,7 +45,7 @@ enum Task {
         #[arg(long, default_value = "auto")]
         toolchain: ToolchainChoice,
     },
-    /// Count the control step's instructions in QEMU, and the image's bytes; compare with xtask/counts.txt.
+    /// Count the control step's instructions in QEMU, model its cycles, measure the image; compare with xtask/counts.txt.
     Count {
         /// Where the standard library for Cortex-M comes from.
         #[arg(long, default_value = "auto")]
