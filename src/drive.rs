@@ -5,18 +5,22 @@
 //! sample holds, it returns a finite duty within the limit, or [`BridgeCommand::Off`].
 
 use crate::config::{ConfigError, positive, require};
-use crate::control::{ControlConfig, Controller, Ranges, Signals, Timing};
+use crate::control::{ControlConfig, Controller, Ranges, Setting, Signals, Timing};
 use crate::hal::{Board, BridgeCommand, Sample};
 use crate::math::Scalar;
 use crate::motor::MotorParameters;
+use crate::sense::{Measured, Sensing, Sensors};
 use crate::trajectory::{Reference, Shape, Shaper};
+use serde::{Deserialize, Serialize};
 
 /// Everything that a drive is built from.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DriveConfig {
     /// The motor.
     pub motor: MotorParameters,
-    /// The law and its gains.
+    /// What the board's samples are.
+    pub sensors: Sensors,
+    /// The controller and its gains.
     pub control: ControlConfig,
     /// Sampling rate and delay.
     pub timing: Timing,
@@ -27,7 +31,7 @@ pub struct DriveConfig {
 }
 
 /// Limits. A sample outside them is a fault; a duty outside them is limited.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Limits {
     /// Largest magnitude of the duty, from above 0 to 1. A bridge with bootstrapped high sides needs less than 1.
     pub duty: f32,
@@ -35,6 +39,9 @@ pub struct Limits {
     pub speed: f32,
     /// Over-current trip (A). Positive.
     pub current: f32,
+    /// Largest current that a controller asks for (A), where it has a current to ask for: all but the paper's form. Positive,
+    /// at most `current`.
+    pub current_command: f32,
     /// Under-voltage trip of the bus (V). Positive.
     pub bus_min: f32,
     /// Over-voltage trip of the bus (V). Above `bus_min`.
@@ -53,12 +60,19 @@ impl Limits {
         for (field, value) in [
             ("limits.speed", self.speed),
             ("limits.current", self.current),
+            ("limits.current_command", self.current_command),
             ("limits.bus_min", self.bus_min),
             ("limits.bus_max", self.bus_max),
         ] {
             positive(field, value)?;
             require(value <= 1e6, field, "must be at most 1e6", value)?;
         }
+        require(
+            self.current_command <= self.current,
+            "limits.current_command",
+            "must be at most limits.current",
+            self.current_command,
+        )?;
         require(
             self.bus_max > self.bus_min,
             "limits.bus_max",
@@ -72,8 +86,8 @@ impl Limits {
 /// Why a drive stopped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fault {
-    /// A sample held a NaN or an infinity.
-    SampleNotFinite,
+    /// A sample held a NaN or an infinity, or was of another kind than the drive's sensors.
+    BadSample,
     /// The speed was beyond [`Limits::speed`].
     Overspeed,
     /// The current was beyond [`Limits::current`].
@@ -82,7 +96,15 @@ pub enum Fault {
     BusUndervoltage,
     /// The bus voltage was above [`Limits::bus_max`].
     BusOvervoltage,
+    /// The encoder moved further in a period than twice [`Limits::speed`] allows.
+    EncoderJump,
+    /// The disturbance was beyond the authority of its observer for [`AUTHORITY_TIME`]: a load beyond what was configured, a
+    /// blocked rotor, or an encoder or motor lead connected the wrong way round.
+    BeyondAuthority,
 }
+
+/// How long the disturbance may be beyond the observer's authority (s).
+pub const AUTHORITY_TIME: f32 = 0.025;
 
 /// Whether the drive drives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -113,7 +135,8 @@ pub struct Telemetry<S> {
     pub signals: Signals<S>,
     /// The armature voltage that was asked of the bridge, after the duty limit (V).
     pub voltage: S,
-    /// The estimator's sliding variables; see [`Controller::sliding_variables`].
+    /// The estimator's sliding variables; ω − x̂1 (BS-QISMC: s1) (rad/s), and z2 − ẑ2 (BS-QISMC: s2) (rad/s²) or, in the
+    /// drive form, the memory of i − î (A); zero where there are none.
     pub sliding_variables: [S; 2],
     /// The estimated load torque T̂_l = −J·d̂ (N·m), positive when it opposes positive motion.
     pub load_torque: S,
@@ -129,14 +152,21 @@ pub struct Drive<S: Scalar> {
     /// Whether there was a driven period.
     driven: bool,
     speed_limit: S,
+    advance_limit: S,
     current_limit: S,
     bus_min: S,
     bus_max: S,
     duty_limit: S,
-    /// The armature voltage that was asked of the bridge in the last driven period (V).
+    /// Armature voltage that acts from the next sample on (V): what was asked of the bridge, or the back-EMF with it off.
     voltage: S,
+    sensing: Sensing<S>,
     shaper: Shaper<S>,
     controller: Controller<S>,
+    /// Speed at the last sample with the bridge off (rad/s).
+    idle_speed: S,
+    /// Steps beyond authority that are a fault.
+    authority_steps: u32,
+    back_emf: S::Gain,
     minus_inertia: S::Gain,
 }
 
@@ -146,30 +176,45 @@ impl<S: Scalar> Drive<S> {
         let motor = config.motor.coefficients()?;
         let limits = &config.limits;
         limits.check()?;
-        let ranges = Ranges { speed: limits.speed, current: limits.current };
+        let timing = &config.timing;
+        let setting = Setting {
+            motor: &motor,
+            timing,
+            age: config.sensors.age(timing.period()),
+            ranges: &Ranges {
+                speed: limits.speed,
+                current: limits.current,
+                current_command: limits.current_command,
+            },
+        };
         Ok(Self {
             mode: Mode::Off,
-            controller: Controller::new(&motor, &config.control, &config.timing, &ranges)?,
-            shaper: Shaper::new(config.shape, config.timing.rate)?,
+            started: false,
+            driven: false,
+            controller: Controller::new(&config.control, &setting)?,
+            sensing: Sensing::new(&config.sensors, limits.speed, timing.rate)?,
+            shaper: Shaper::new(config.shape, timing.rate)?,
             duty_limit: S::from_f32(limits.duty),
             speed_limit: S::from_f32(limits.speed),
+            advance_limit: S::from_f32(2.0 * limits.speed * timing.period()),
             current_limit: S::from_f32(limits.current),
             bus_min: S::from_f32(limits.bus_min),
             bus_max: S::from_f32(limits.bus_max),
-            minus_inertia: S::gain(-motor.inertia),
-            started: false,
-            driven: false,
             voltage: S::ZERO,
+            idle_speed: S::ZERO,
+            authority_steps: (AUTHORITY_TIME * timing.rate) as u32,
+            back_emf: S::gain(config.motor.back_emf_constant),
+            minus_inertia: S::gain(-motor.inertia),
         })
     }
 
-    /// Turns the outputs on from the next step. The estimator starts anew, and the reference at standstill.
+    /// Turns the outputs on from the next step. The controller starts anew, and the reference at the speed that the motor
+    /// has.
     pub fn arm(&mut self) -> Result<(), Refusal> {
         match self.mode {
             Mode::Faulted(fault) => Err(Refusal::Faulted(fault)),
             Mode::Running => Ok(()),
             Mode::Off => {
-                self.shaper.reset(S::ZERO);
                 self.started = false;
                 self.mode = Mode::Running;
                 Ok(())
@@ -212,48 +257,73 @@ impl<S: Scalar> Drive<S> {
     // Not inlined, for its instructions to be counted apart from its caller's.
     #[inline(never)]
     pub fn step(&mut self, sample: &Sample<S>) -> BridgeCommand<S> {
+        let Some(measured) = self.sensing.read(sample) else {
+            return self.refuse(Fault::BadSample);
+        };
+        if !self.limits_hold(&measured) {
+            return self.refuse(self.fault_in(&measured));
+        }
         if self.mode != Mode::Running {
+            self.idle_speed = self.controller.follow(&measured);
             return BridgeCommand::Off;
         }
-        if !self.limits_hold(sample) {
-            self.mode = Mode::Faulted(self.fault_in(sample));
-            return BridgeCommand::Off;
-        }
-        let reference = self.shaper.advance();
         if !self.started {
-            self.controller.start(sample.speed, sample.current, reference);
-            self.started = true;
+            self.start(&measured);
         }
-        let wanted = self.controller.step(sample.speed, sample.current, reference);
-        let duty = (wanted / sample.bus_voltage).limited(self.duty_limit);
-        self.voltage = duty * sample.bus_voltage;
+        let wanted = self.controller.step(&measured, self.shaper.advance(), self.voltage);
+        if self.controller.signals().speed.abs() > self.speed_limit {
+            return self.refuse(Fault::Overspeed);
+        }
+        if self.controller.exhausted() > self.authority_steps {
+            return self.refuse(Fault::BeyondAuthority);
+        }
+        let duty = (wanted / measured.bus_voltage).limited(self.duty_limit);
+        self.voltage = duty * measured.bus_voltage;
         self.driven = true;
         BridgeCommand::Duty(duty)
     }
 
-    /// Whether a sample is within the limits; one with a NaN in it is not.
+    /// Starts from what was followed with the bridge off: without a jump of reference, voltage or estimates.
+    #[cold]
+    fn start(&mut self, measured: &Measured<S>) {
+        self.shaper.reset(self.idle_speed);
+        self.voltage = S::combine([(self.back_emf, self.idle_speed)]);
+        self.controller.start(measured, self.shaper.clone().advance());
+        self.started = true;
+    }
+
+    /// Outputs off; while running, for a fault.
+    #[cold]
+    fn refuse(&mut self, fault: Fault) -> BridgeCommand<S> {
+        if self.mode == Mode::Running {
+            self.mode = Mode::Faulted(fault);
+        }
+        BridgeCommand::Off
+    }
+
+    /// Whether a sample is within the limits.
     #[inline]
-    fn limits_hold(&self, sample: &Sample<S>) -> bool {
-        sample.speed.abs() <= self.speed_limit
-            && sample.current.abs() <= self.current_limit
-            && sample.bus_voltage >= self.bus_min
-            && sample.bus_voltage <= self.bus_max
+    fn limits_hold(&self, measured: &Measured<S>) -> bool {
+        measured.speed.abs() <= self.speed_limit
+            && measured.advance.abs() <= self.advance_limit
+            && measured.current.abs() <= self.current_limit
+            && measured.bus_voltage >= self.bus_min
+            && measured.bus_voltage <= self.bus_max
     }
 
     /// What is wrong with a sample that is not within the limits.
     #[cold]
-    fn fault_in(&self, sample: &Sample<S>) -> Fault {
-        let &Sample { speed, current, bus_voltage } = sample;
-        if !(speed.is_finite() && current.is_finite() && bus_voltage.is_finite()) {
-            Fault::SampleNotFinite
-        } else if current.abs() > self.current_limit {
+    fn fault_in(&self, measured: &Measured<S>) -> Fault {
+        if measured.current.abs() > self.current_limit {
             Fault::Overcurrent
-        } else if bus_voltage < self.bus_min {
+        } else if measured.bus_voltage < self.bus_min {
             Fault::BusUndervoltage
-        } else if bus_voltage > self.bus_max {
+        } else if measured.bus_voltage > self.bus_max {
             Fault::BusOvervoltage
-        } else {
+        } else if measured.speed.abs() > self.speed_limit {
             Fault::Overspeed
+        } else {
+            Fault::EncoderJump
         }
     }
 

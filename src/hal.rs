@@ -2,11 +2,37 @@
 
 use crate::math::Scalar;
 
-/// What the board measured, all at one instant of the PWM period.
+/// How often a board reads the encoder's counter in a PWM period.
+pub const READS: usize = 16;
+
+/// What the board measured in a PWM period.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Sample<S> {
+pub enum Sample<S> {
+    /// As converters and counters have it.
+    Codes(Codes),
+    /// In SI units, from sensors without error: for simulation.
+    Exact(Exact<S>),
+}
+
+/// A period's sample as converters and counters have it. [`crate::sense`] turns it into SI units.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Codes {
+    /// Code of the armature current's converter, sampled at the end of the period.
+    pub current: u16,
+    /// Code of the bus voltage's converter.
+    pub bus_voltage: u16,
+    /// The encoder's counter, read at equal distances over the period, the last time together with the current. It wraps
+    /// at 2¹⁶.
+    pub encoder: [u16; READS],
+}
+
+/// A period's sample from sensors without error.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Exact<S> {
     /// Shaft speed ω (rad/s), positive in the direction in which a positive duty accelerates.
     pub speed: S,
+    /// Angle that the shaft turned since the last sample (rad).
+    pub advance: S,
     /// Armature current i (A), positive when it accelerates in the positive direction.
     pub current: S,
     /// Bus voltage (V).

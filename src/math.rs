@@ -33,6 +33,12 @@ pub trait Scalar:
     /// The signal nearest to `value`. For configuration, not for the loop.
     fn from_f32(value: f32) -> Self;
 
+    /// A converter's code.
+    fn from_code(code: u16) -> Self;
+
+    /// A difference of counts.
+    fn from_difference(difference: i16) -> Self;
+
     /// The gain nearest to `value`. For configuration, not for the loop.
     fn gain(value: f32) -> Self::Gain;
 
@@ -67,6 +73,16 @@ impl Scalar for f32 {
 
     fn from_f32(value: f32) -> Self {
         value
+    }
+
+    #[inline]
+    fn from_code(code: u16) -> f32 {
+        f32::from(code)
+    }
+
+    #[inline]
+    fn from_difference(difference: i16) -> f32 {
+        f32::from(difference)
     }
 
     fn gain(value: f32) -> f32 {
@@ -115,6 +131,16 @@ impl Scalar for f32 {
 /// Hyperbolic tangent, to within 1.2e-7. For configuration time.
 pub fn tanh(x: f32) -> f32 {
     libm::tanhf(x)
+}
+
+/// Sine of an angle (rad). For configuration time.
+pub fn sin(x: f32) -> f32 {
+    libm::sinf(x)
+}
+
+/// Square root. For configuration time.
+pub fn sqrt(x: f32) -> f32 {
+    libm::sqrtf(x)
 }
 
 /// e^x − 1, accurate near zero too. For configuration time.

@@ -11,9 +11,10 @@
 //! d = −T_l/J (rad/s²) of a load torque T_l (N·m) that opposes positive motion.
 
 use crate::config::{ConfigError, non_negative, positive};
+use serde::{Deserialize, Serialize};
 
 /// Parameters of a brushed, permanent-magnet or separately excited DC motor with what turns with it.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MotorParameters {
     /// Moment of inertia J of rotor and load (kg·m²). Positive.
     pub inertia: f32,

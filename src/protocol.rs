@@ -6,14 +6,11 @@
 //! it is told when asked for. Numbers travel as the bit patterns of their f32, so that both sides can be held to the same
 //! bits. Words are little-endian.
 
-use crate::control::{ControlConfig, Form, Gains, Law, Start, Timing};
-use crate::drive::{DriveConfig, Fault, Limits, Mode, Telemetry};
-use crate::hal::{BridgeCommand, Sample};
-use crate::motor::MotorParameters;
-use crate::trajectory::Shape;
+use crate::drive::{DriveConfig, Fault, Mode, Telemetry};
+use crate::hal::{BridgeCommand, Codes, Exact, READS};
 
 /// Version of the messages: both sides must have the same.
-pub const VERSION: u32 = 1;
+pub const VERSION: u32 = 2;
 
 /// First word of either side's first message.
 pub const MAGIC: u32 = u32::from_le_bytes(*b"qdrv");
@@ -44,117 +41,26 @@ pub struct Setup(pub DriveConfig);
 
 impl Setup {
     /// Words of a setup.
-    pub const WORDS: usize = 22;
+    pub const WORDS: usize = 48;
 
-    /// As words.
-    pub fn to_words(&self) -> [u32; Self::WORDS] {
-        let DriveConfig { motor, control, timing, limits, shape } = &self.0;
-        let law = match control.law {
-            Law::Backstepping => 0,
-            Law::Qsmdo => 1,
-            Law::Qismc => 2,
-        };
-        let bandwidth = match *shape {
-            Shape::Step => 0.0,
-            Shape::SecondOrder { bandwidth } => bandwidth,
-        };
-        [
-            motor.inertia.to_bits(),
-            motor.inductance.to_bits(),
-            motor.resistance.to_bits(),
-            motor.viscous_friction.to_bits(),
-            motor.back_emf_constant.to_bits(),
-            law,
-            u32::from(control.form == Form::Explicit),
-            u32::from(control.start == Start::Zero),
-            control.gains.c.to_bits(),
-            control.gains.k1.to_bits(),
-            control.gains.epsilon1.to_bits(),
-            control.gains.k2.to_bits(),
-            control.gains.epsilon2.to_bits(),
-            timing.rate.to_bits(),
-            u32::from(timing.delay),
-            limits.duty.to_bits(),
-            limits.speed.to_bits(),
-            limits.current.to_bits(),
-            limits.bus_min.to_bits(),
-            limits.bus_max.to_bits(),
-            u32::from(matches!(shape, Shape::SecondOrder { .. })),
-            bandwidth.to_bits(),
-        ]
+    /// As words, in postcard's format, padded with zeros; nothing if they do not suffice.
+    pub fn to_words(&self) -> Option<[u32; Self::WORDS]> {
+        let mut bytes = [0; 4 * Self::WORDS];
+        postcard::to_slice(&self.0, &mut bytes).ok()?;
+        let mut words = [0; Self::WORDS];
+        for (word, bytes) in words.iter_mut().zip(bytes.as_chunks().0) {
+            *word = u32::from_le_bytes(*bytes);
+        }
+        Some(words)
     }
 
-    /// From words; nothing if one of them stands for nothing.
+    /// From words; nothing if they are no setup.
     pub fn from_words(words: [u32; Self::WORDS]) -> Option<Self> {
-        let [
-            inertia,
-            inductance,
-            resistance,
-            viscous_friction,
-            back_emf_constant,
-            law,
-            explicit,
-            zero,
-            c,
-            k1,
-            epsilon1,
-            k2,
-            epsilon2,
-            rate,
-            delay,
-            duty,
-            speed,
-            current,
-            bus_min,
-            bus_max,
-            second_order,
-            bandwidth,
-        ] = words;
-        let f = f32::from_bits;
-        let flag = |word| match word {
-            0 => Some(false),
-            1 => Some(true),
-            _ => None,
-        };
-        Some(Self(DriveConfig {
-            motor: MotorParameters {
-                inertia: f(inertia),
-                inductance: f(inductance),
-                resistance: f(resistance),
-                viscous_friction: f(viscous_friction),
-                back_emf_constant: f(back_emf_constant),
-            },
-            control: ControlConfig {
-                law: match law {
-                    0 => Law::Backstepping,
-                    1 => Law::Qsmdo,
-                    2 => Law::Qismc,
-                    _ => return None,
-                },
-                gains: Gains {
-                    c: f(c),
-                    k1: f(k1),
-                    epsilon1: f(epsilon1),
-                    k2: f(k2),
-                    epsilon2: f(epsilon2),
-                },
-                form: if flag(explicit)? { Form::Explicit } else { Form::Implicit },
-                start: if flag(zero)? { Start::Zero } else { Start::Matched },
-            },
-            timing: Timing { rate: f(rate), delay: flag(delay)? },
-            limits: Limits {
-                duty: f(duty),
-                speed: f(speed),
-                current: f(current),
-                bus_min: f(bus_min),
-                bus_max: f(bus_max),
-            },
-            shape: if flag(second_order)? {
-                Shape::SecondOrder { bandwidth: f(bandwidth) }
-            } else {
-                Shape::Step
-            },
-        }))
+        let mut bytes = [0; 4 * Self::WORDS];
+        for (bytes, word) in bytes.as_chunks_mut().0.iter_mut().zip(words) {
+            *bytes = word.to_le_bytes();
+        }
+        postcard::from_bytes(&bytes).ok().map(Self)
     }
 }
 
@@ -178,18 +84,42 @@ impl Question {
     }
 }
 
-/// Words of a sample.
-pub const SAMPLE_WORDS: usize = 3;
+/// Words of an exact sample.
+pub const EXACT_WORDS: usize = 4;
 
-/// A sample as words.
-pub fn sample_to_words(sample: &Sample<f32>) -> [u32; SAMPLE_WORDS] {
-    [sample.speed, sample.current, sample.bus_voltage].map(f32::to_bits)
+/// Words of a sample of codes.
+pub const CODES_WORDS: usize = 1 + READS / 2;
+
+/// An exact sample as words.
+pub fn exact_to_words(exact: &Exact<f32>) -> [u32; EXACT_WORDS] {
+    [exact.speed, exact.advance, exact.current, exact.bus_voltage].map(f32::to_bits)
 }
 
-/// A sample from words.
-pub fn sample_from_words(words: [u32; SAMPLE_WORDS]) -> Sample<f32> {
-    let [speed, current, bus_voltage] = words.map(f32::from_bits);
-    Sample { speed, current, bus_voltage }
+/// An exact sample from words.
+pub fn exact_from_words(words: [u32; EXACT_WORDS]) -> Exact<f32> {
+    let [speed, advance, current, bus_voltage] = words.map(f32::from_bits);
+    Exact { speed, advance, current, bus_voltage }
+}
+
+/// A sample of codes as words: two codes in each, the first one low.
+pub fn codes_to_words(codes: &Codes) -> [u32; CODES_WORDS] {
+    let pair = |low: u16, high: u16| u32::from(low) | u32::from(high) << 16;
+    let mut words = [pair(codes.current, codes.bus_voltage); CODES_WORDS];
+    for (word, [low, high]) in words[1..].iter_mut().zip(codes.encoder.as_chunks().0) {
+        *word = pair(*low, *high);
+    }
+    words
+}
+
+/// A sample of codes from words.
+pub fn codes_from_words(words: [u32; CODES_WORDS]) -> Codes {
+    let [first, reads @ ..] = words;
+    let mut codes =
+        Codes { current: first as u16, bus_voltage: (first >> 16) as u16, encoder: [0; READS] };
+    for (pair, word) in codes.encoder.as_chunks_mut().0.iter_mut().zip(reads) {
+        *pair = [word as u16, (word >> 16) as u16];
+    }
+    codes
 }
 
 /// What a period did, in full.
@@ -203,14 +133,16 @@ pub struct Record {
     pub telemetry: Option<Telemetry<f32>>,
 }
 
-const MODES: [Mode; 7] = [
+const MODES: [Mode; 9] = [
     Mode::Off,
     Mode::Running,
-    Mode::Faulted(Fault::SampleNotFinite),
+    Mode::Faulted(Fault::BadSample),
     Mode::Faulted(Fault::Overspeed),
     Mode::Faulted(Fault::Overcurrent),
     Mode::Faulted(Fault::BusUndervoltage),
     Mode::Faulted(Fault::BusOvervoltage),
+    Mode::Faulted(Fault::EncoderJump),
+    Mode::Faulted(Fault::BeyondAuthority),
 ];
 
 /// Bit of a record's first word that says that there is a duty.
@@ -218,7 +150,7 @@ const DRIVEN: u32 = 1 << 8;
 
 impl Record {
     /// Words of a record.
-    pub const WORDS: usize = 13;
+    pub const WORDS: usize = 14;
 
     /// What each word is, in order.
     pub const NAMES: [&str; Self::WORDS] = [
@@ -227,6 +159,7 @@ impl Record {
         "reference",
         "reference's acceleration",
         "reference's jerk",
+        "speed",
         "z1",
         "z2",
         "disturbance",
@@ -244,25 +177,29 @@ impl Record {
             BridgeCommand::Off => (0, 0.0),
             BridgeCommand::Duty(duty) => (DRIVEN, duty),
         };
-        let [r0, r1, r2, s0, s1, s2, s3, voltage, y1, y2, load_torque] = match &self.telemetry {
-            None => [0.0; 11],
-            Some(Telemetry { reference, signals, voltage, sliding_variables, load_torque }) => [
-                reference.speed,
-                reference.acceleration,
-                reference.jerk,
-                signals.z1,
-                signals.z2,
-                signals.disturbance,
-                signals.voltage,
-                *voltage,
-                sliding_variables[0],
-                sliding_variables[1],
-                *load_torque,
-            ],
-        }
-        .map(f32::to_bits);
+        let [r0, r1, r2, s0, s1, s2, s3, s4, voltage, y1, y2, load_torque] =
+            match &self.telemetry {
+                None => [0.0; 12],
+                Some(Telemetry { reference, signals, voltage, sliding_variables, load_torque }) => {
+                    [
+                        reference.speed,
+                        reference.acceleration,
+                        reference.jerk,
+                        signals.speed,
+                        signals.z1,
+                        signals.z2,
+                        signals.disturbance,
+                        signals.voltage,
+                        *voltage,
+                        sliding_variables[0],
+                        sliding_variables[1],
+                        *load_torque,
+                    ]
+                }
+            }
+            .map(f32::to_bits);
         let first = mode | driven;
-        [first, duty.to_bits(), r0, r1, r2, s0, s1, s2, s3, voltage, y1, y2, load_torque]
+        [first, duty.to_bits(), r0, r1, r2, s0, s1, s2, s3, s4, voltage, y1, y2, load_torque]
     }
 
     /// The drive's answer to a period.
@@ -305,44 +242,69 @@ fn digest(words: &[u32]) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::control::Signals;
-    use crate::trajectory::Reference;
-
-    fn config(law: Law, form: Form, start: Start, shape: Shape, delay: bool) -> DriveConfig {
-        DriveConfig {
-            motor: MotorParameters { viscous_friction: 1e-5, ..MotorParameters::PAPER },
-            control: ControlConfig { law, gains: Gains::PAPER, form, start },
-            timing: Timing { rate: 16_000.0, delay },
-            limits: Limits { duty: 0.9, speed: 400.0, current: 30.0, bus_min: 9.0, bus_max: 27.0 },
-            shape,
-        }
-    }
+    use crate::control::drive_form::{DriveFormConfig, Memory};
+    use crate::control::paper::{Form, Gains, Law, PaperConfig, Start};
+    use crate::control::{ControlConfig, Signals, Timing};
+    use crate::drive::Limits;
+    use crate::estimate::SpeedSource;
+    use crate::motor::MotorParameters;
+    use crate::sense::{Calibration, Reads, Sensors};
+    use crate::trajectory::{Reference, Shape};
 
     #[test]
     fn setup_survives_the_journey() {
-        let second_order = Shape::SecondOrder { bandwidth: 50.0 };
-        for setup in [
-            config(Law::Backstepping, Form::Implicit, Start::Zero, Shape::Step, true),
-            config(Law::Qsmdo, Form::Explicit, Start::Matched, second_order, false),
-            config(Law::Qismc, Form::Implicit, Start::Zero, second_order, true),
-        ]
-        .map(Setup)
-        {
-            let words = setup.to_words();
+        let drive_form = DriveFormConfig::new(1000.0, 0.3, 2.0).with_memory(Memory::Integral);
+        let paper = PaperConfig {
+            law: Law::Qismc,
+            gains: Gains::PAPER,
+            form: Form::Explicit,
+            start: Start::Zero,
+            speed: SpeedSource::Pll { bandwidth: 1e3, fed: true },
+        };
+        let calibration = Calibration {
+            current_per_code: -0.01,
+            current_zero: 2047.5,
+            bus_voltage_per_code: 0.0075,
+            counts_per_turn: -4096,
+            reads: Reads::Last,
+        };
+        for (control, sensors, shape) in [
+            (ControlConfig::Paper(paper), Sensors::Exact, Shape::Step),
+            (
+                ControlConfig::Drive(drive_form),
+                Sensors::Codes(calibration),
+                Shape::SecondOrder { bandwidth: 50.0 },
+            ),
+        ] {
+            let setup = Setup(DriveConfig {
+                motor: MotorParameters { viscous_friction: 1e-5, ..MotorParameters::PAPER },
+                sensors,
+                control,
+                timing: Timing { rate: 16_000.0, delay: true },
+                limits: Limits {
+                    duty: 0.9,
+                    speed: 400.0,
+                    current: 30.0,
+                    current_command: 20.0,
+                    bus_min: 9.0,
+                    bus_max: 27.0,
+                },
+                shape,
+            });
+            let words = setup.to_words().expect("enough words");
             assert_eq!(Setup::from_words(words), Some(setup));
-            for flag in [5, 6, 7, 14, 20] {
-                let mut broken = words;
-                broken[flag] = 3;
-                assert_eq!(Setup::from_words(broken), None, "word {flag}");
-            }
         }
+        assert_eq!(Setup::from_words([u32::MAX; Setup::WORDS]), None);
     }
 
     #[test]
     fn sample_and_question_survive_the_journey() {
-        let sample = Sample { speed: -1.5, current: 2.5, bus_voltage: 24.0 };
-        assert_eq!(sample_from_words(sample_to_words(&sample)), sample);
-        for question in [Question::Sample, Question::TargetAndSample, Question::Record] {
+        let exact = Exact { speed: -1.5, advance: 0.25, current: 2.5, bus_voltage: 24.0 };
+        assert_eq!(exact_from_words(exact_to_words(&exact)), exact);
+        let encoder = core::array::from_fn(|index| 65_530 + index as u16 % 6);
+        let codes = Codes { current: 2048, bus_voltage: 3200, encoder };
+        assert_eq!(codes_from_words(codes_to_words(&codes)), codes);
+        for question in [Question::Record, Question::Sample, Question::TargetAndSample] {
             assert_eq!(Question::from_byte(question as u8), Some(question));
         }
         assert_eq!(Question::from_byte(3), None);
@@ -356,10 +318,10 @@ mod tests {
     fn every_bit_of_a_record_shows_in_its_reply() {
         let telemetry = Telemetry {
             reference: Reference { speed: 1.0, acceleration: 2.0, jerk: 3.0 },
-            signals: Signals { z1: 4.0, z2: 5.0, disturbance: 6.0, voltage: 7.0 },
-            voltage: 8.0,
-            sliding_variables: [9.0, 10.0],
-            load_torque: 11.0,
+            signals: Signals { speed: 4.0, z1: 5.0, z2: 6.0, disturbance: 7.0, voltage: 8.0 },
+            voltage: 9.0,
+            sliding_variables: [10.0, 11.0],
+            load_torque: 12.0,
         };
         let record = Record {
             command: BridgeCommand::Duty(-0.25),
@@ -369,7 +331,7 @@ mod tests {
         let words = record.to_words();
         let numbers = words.map(f32::from_bits);
         assert_eq!(numbers[1], -0.25);
-        assert_eq!(numbers[2..], [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0]);
+        assert_eq!(numbers[2..], [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0]);
         for index in 0..Record::WORDS {
             for bit in 0..32 {
                 let mut other = words;

@@ -2,6 +2,7 @@
 
 use crate::config::{ConfigError, require};
 use crate::math::{Scalar, exp_m1};
+use serde::{Deserialize, Serialize};
 
 /// The reference at one sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -22,7 +23,7 @@ impl<S: Scalar> Reference<S> {
 }
 
 /// How a commanded speed becomes a reference.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub enum Shape {
     /// The command itself, with zero derivatives: it jumps when the command does (the paper's reference).
     #[default]

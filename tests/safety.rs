@@ -1,29 +1,64 @@
 //! Whatever comes in, what goes out is finite and bounded, or off.
 
 use proptest::prelude::*;
-use quasidrive::control::{ControlConfig, Form, Gains, Law, Start, Timing};
+use quasidrive::control::drive_form::{DriveFormConfig, Memory};
+use quasidrive::control::ladrc::LadrcConfig;
+use quasidrive::control::paper::{Form, Gains, Law, PaperConfig, Start};
+use quasidrive::control::pi::PiConfig;
+use quasidrive::control::{ControlConfig, Timing};
 use quasidrive::drive::{Drive, DriveConfig, Fault, Limits, Mode, Refusal};
-use quasidrive::hal::{BridgeCommand, Sample};
+use quasidrive::estimate::SpeedSource;
+use quasidrive::hal::{BridgeCommand, Codes, Exact, READS, Sample};
 use quasidrive::motor::MotorParameters;
+use quasidrive::sense::{Calibration, Reads, Sensors};
 use quasidrive::trajectory::Shape;
 
-const LIMITS: Limits =
-    Limits { duty: 0.92, speed: 400.0, current: 40.0, bus_min: 8.0, bus_max: 28.0 };
-const GOOD: Sample<f32> = Sample { speed: 100.0, current: 1.0, bus_voltage: 24.0 };
+const LIMITS: Limits = Limits {
+    duty: 0.92,
+    speed: 400.0,
+    current: 40.0,
+    current_command: 30.0,
+    bus_min: 8.0,
+    bus_max: 28.0,
+};
+const GOOD: Exact<f32> = Exact { speed: 100.0, advance: 5e-3, current: 1.0, bus_voltage: 24.0 };
+const TIMING: Timing = Timing { rate: 20_000.0, delay: true };
+const SENSORS: Calibration = Calibration {
+    current_per_code: 0.02,
+    current_zero: 2048.0,
+    bus_voltage_per_code: 0.0075,
+    counts_per_turn: 4096,
+    reads: Reads::All,
+};
+
+const PAPER_FORM: PaperConfig = PaperConfig {
+    law: Law::Qsmdo,
+    gains: Gains::PAPER,
+    form: Form::Implicit,
+    start: Start::Zero,
+    speed: SpeedSource::Exact,
+};
 
 fn config(law: Law) -> DriveConfig {
     DriveConfig {
         motor: MotorParameters::PAPER,
-        control: ControlConfig {
-            law,
-            gains: Gains::PAPER,
-            form: Form::Implicit,
-            start: Start::Zero,
-        },
-        timing: Timing { rate: 20_000.0, delay: true },
+        sensors: Sensors::Exact,
+        control: ControlConfig::Paper(PaperConfig { law, ..PAPER_FORM }),
+        timing: TIMING,
         limits: LIMITS,
         shape: Shape::Step,
     }
+}
+
+/// Every controller that is not the paper's form, by an encoder or by exact sensors.
+fn other_controllers(speed: SpeedSource) -> [ControlConfig; 4] {
+    let drive_form = DriveFormConfig::new(1170.0, 0.3, 2.5);
+    [
+        ControlConfig::Drive(drive_form),
+        ControlConfig::Drive(drive_form.with_memory(Memory::Integral)),
+        ControlConfig::Pi(PiConfig::magnitude_and_symmetrical_optimum(&TIMING, speed)),
+        ControlConfig::Ladrc(LadrcConfig::by_bandwidth(150.0, &TIMING, speed)),
+    ]
 }
 
 fn armed(config: &DriveConfig) -> Drive<f32> {
@@ -49,18 +84,22 @@ fn finite() -> impl Strategy<Value = f32> {
 }
 
 /// Plausible samples, one in four with an absurd field.
-fn finite_sample() -> impl Strategy<Value = Sample<f32>> {
+fn finite_sample() -> impl Strategy<Value = Exact<f32>> {
     (plausible(), finite(), 0..12).prop_map(|(sample, absurd, field)| match field {
-        0 => Sample { speed: absurd, ..sample },
-        1 => Sample { current: absurd, ..sample },
-        2 => Sample { bus_voltage: absurd, ..sample },
+        0 => Exact { speed: absurd, ..sample },
+        1 => Exact { current: absurd, ..sample },
+        2 => Exact { bus_voltage: absurd, ..sample },
         _ => sample,
     })
 }
 
-fn plausible() -> impl Strategy<Value = Sample<f32>> {
+fn exact(speed: f32, current: f32, bus_voltage: f32) -> Exact<f32> {
+    Exact { speed, advance: speed * TIMING.period(), current, bus_voltage }
+}
+
+fn plausible() -> impl Strategy<Value = Exact<f32>> {
     (-400.0..=400.0_f32, -40.0..=40.0_f32, 8.0..=28.0_f32)
-        .prop_map(|(speed, current, bus_voltage)| Sample { speed, current, bus_voltage })
+        .prop_map(|(speed, current, bus_voltage)| exact(speed, current, bus_voltage))
 }
 
 proptest! {
@@ -71,7 +110,7 @@ proptest! {
     ) {
         let mut drive = armed(&config(law));
         for sample in samples {
-            if let BridgeCommand::Duty(duty) = drive.step(&sample) {
+            if let BridgeCommand::Duty(duty) = drive.step(&Sample::Exact(sample)) {
                 prop_assert!(duty.is_finite() && duty.abs() <= LIMITS.duty, "{duty}");
             } else {
                 prop_assert!(matches!(drive.mode(), Mode::Faulted(_)));
@@ -87,12 +126,12 @@ proptest! {
         periods in prop::collection::vec((plausible(), -400.0..=400.0_f32), 1..300),
     ) {
         let mut config = config(law);
-        config.control.form = form;
+        config.control = in_form(&config, form);
         config.shape = shape;
         let mut drive = armed(&config);
         for (sample, target) in periods {
             prop_assert_eq!(drive.set_speed(target), Ok(()));
-            match drive.step(&sample) {
+            match drive.step(&Sample::Exact(sample)) {
                 BridgeCommand::Duty(duty) => {
                     prop_assert!(duty.is_finite() && duty.abs() <= LIMITS.duty, "{}", duty);
                 }
@@ -105,30 +144,81 @@ proptest! {
         }
     }
 
+    /// Whatever a broken encoder, converter or cable delivers: a finite duty, or off for good.
+    #[test]
+    fn any_codes_give_a_finite_bounded_command(
+        controller in 0..4_usize,
+        fed in any::<bool>(),
+        periods in prop::collection::vec((0..4096_u16, 1100..3700_u16, any::<[u16; READS]>()), 1..50),
+        repeat in 1..40_usize,
+    ) {
+        let speed = SpeedSource::Pll { bandwidth: 4000.0, fed };
+        let config = DriveConfig {
+            sensors: Sensors::Codes(SENSORS),
+            control: other_controllers(speed)[controller],
+            ..config(Law::Qsmdo)
+        };
+        let mut drive = armed(&config);
+        drive.set_speed(100.0).expect("in range");
+        for (current, bus_voltage, encoder) in periods.iter().copied().cycle().take(periods.len() * repeat) {
+            let was = drive.mode();
+            match drive.step(&Sample::Codes(Codes { current, bus_voltage, encoder })) {
+                BridgeCommand::Duty(duty) => {
+                    prop_assert!(was == Mode::Running && duty.is_finite() && duty.abs() <= LIMITS.duty);
+                }
+                BridgeCommand::Off => prop_assert!(matches!(drive.mode(), Mode::Faulted(_))),
+            }
+        }
+    }
+
+    #[test]
+    fn other_controllers_stay_finite_on_plausible_samples(
+        controller in 0..4_usize,
+        shape in any_shape(),
+        periods in prop::collection::vec((plausible(), -400.0..=400.0_f32), 1..1000),
+    ) {
+        let config = DriveConfig {
+            control: other_controllers(SpeedSource::Exact)[controller],
+            shape,
+            ..config(Law::Qsmdo)
+        };
+        let mut drive = armed(&config);
+        for (sample, target) in periods {
+            prop_assert_eq!(drive.set_speed(target), Ok(()));
+            match drive.step(&Sample::Exact(sample)) {
+                BridgeCommand::Duty(duty) => {
+                    prop_assert!(duty.is_finite() && duty.abs() <= LIMITS.duty, "{}", duty);
+                }
+                BridgeCommand::Off => prop_assert!(matches!(drive.mode(), Mode::Faulted(_))),
+            }
+        }
+    }
+
     #[test]
     fn nan_or_infinity_anywhere_switches_off_for_good(
         law in any_law(),
         before in prop::collection::vec(plausible(), 0..20),
         broken in plausible(),
         bad in prop_oneof![Just(f32::NAN), Just(f32::INFINITY), Just(f32::NEG_INFINITY)],
-        field in 0..3,
+        field in 0..4,
         after in prop::collection::vec(plausible(), 1..20),
     ) {
         let mut drive = armed(&config(law));
         for sample in &before {
-            drive.step(sample);
+            drive.step(&Sample::Exact(*sample));
         }
         let broken = match field {
-            0 => Sample { speed: bad, ..broken },
-            1 => Sample { current: bad, ..broken },
-            _ => Sample { bus_voltage: bad, ..broken },
+            0 => Exact { speed: bad, ..broken },
+            1 => Exact { current: bad, ..broken },
+            2 => Exact { advance: bad, ..broken },
+            _ => Exact { bus_voltage: bad, ..broken },
         };
-        prop_assert_eq!(drive.step(&broken), BridgeCommand::Off);
-        prop_assert_eq!(drive.mode(), Mode::Faulted(Fault::SampleNotFinite));
+        prop_assert_eq!(drive.step(&Sample::Exact(broken)), BridgeCommand::Off);
+        prop_assert_eq!(drive.mode(), Mode::Faulted(Fault::BadSample));
         for sample in &after {
-            prop_assert_eq!(drive.step(sample), BridgeCommand::Off);
+            prop_assert_eq!(drive.step(&Sample::Exact(*sample)), BridgeCommand::Off);
         }
-        prop_assert_eq!(drive.arm(), Err(Refusal::Faulted(Fault::SampleNotFinite)));
+        prop_assert_eq!(drive.arm(), Err(Refusal::Faulted(Fault::BadSample)));
     }
 
     /// Valid values of any size, one in two sets with an absurd one among them.
@@ -172,19 +262,19 @@ proptest! {
             inertia, inductance, resistance, friction, back_emf, c, k1, epsilon1, k2, epsilon2,
             20_000.0, 0.92, speed, current, 8.0, 28.0,
         ]);
-        config.control.form = form;
+        config.control = in_form(&config, form);
         let built = Drive::<f32>::new(&config);
         prop_assume!(built.is_ok());
         let mut drive = built.expect("just checked");
         drive.arm().expect("no fault");
         for (speed, current, bus, target) in samples {
             prop_assert_eq!(drive.set_speed(target * config.limits.speed), Ok(()));
-            let sample = Sample {
-                speed: speed * config.limits.speed,
-                current: current * config.limits.current,
-                bus_voltage: (8.0 + 20.0 * bus).min(28.0),
-            };
-            match drive.step(&sample) {
+            let sample = exact(
+                speed * config.limits.speed,
+                current * config.limits.current,
+                (8.0 + 20.0 * bus).min(28.0),
+            );
+            match drive.step(&Sample::Exact(sample)) {
                 BridgeCommand::Duty(duty) => {
                     prop_assert!(duty.is_finite() && duty.abs() <= config.limits.duty, "{}", duty);
                 }
@@ -222,7 +312,7 @@ fn from_values(law: Law, values: [f32; 16]) -> DriveConfig {
             back_emf_constant,
         },
         timing: Timing { rate, delay: true },
-        limits: Limits { duty, speed, current, bus_min, bus_max },
+        limits: Limits { duty, speed, current, current_command: 0.75 * current, bus_min, bus_max },
         ..with_gains(config(law), Gains { c, k1, epsilon1, k2, epsilon2 })
     }
 }
@@ -231,36 +321,36 @@ fn from_values(law: Law, values: [f32; 16]) -> DriveConfig {
 fn outputs_are_off_until_armed_and_after_disarming() {
     let mut drive = Drive::<f32>::new(&config(Law::Qsmdo)).expect("valid configuration");
     assert_eq!(drive.mode(), Mode::Off);
-    assert_eq!(drive.step(&GOOD), BridgeCommand::Off);
+    assert_eq!(drive.step(&Sample::Exact(GOOD)), BridgeCommand::Off);
     drive.arm().expect("no fault");
-    assert!(matches!(drive.step(&GOOD), BridgeCommand::Duty(_)));
+    assert!(matches!(drive.step(&Sample::Exact(GOOD)), BridgeCommand::Duty(_)));
     drive.disarm();
-    assert_eq!(drive.step(&GOOD), BridgeCommand::Off);
+    assert_eq!(drive.step(&Sample::Exact(GOOD)), BridgeCommand::Off);
     assert_eq!(BridgeCommand::<f32>::default(), BridgeCommand::Off);
 }
 
 #[test]
 fn each_limit_has_its_fault_and_faults_stay() {
     let cases = [
-        (Sample { speed: 401.0, ..GOOD }, Fault::Overspeed),
-        (Sample { speed: -401.0, ..GOOD }, Fault::Overspeed),
-        (Sample { current: 40.5, ..GOOD }, Fault::Overcurrent),
-        (Sample { current: -40.5, ..GOOD }, Fault::Overcurrent),
-        (Sample { bus_voltage: 7.9, ..GOOD }, Fault::BusUndervoltage),
-        (Sample { bus_voltage: 0.0, ..GOOD }, Fault::BusUndervoltage),
-        (Sample { bus_voltage: 28.1, ..GOOD }, Fault::BusOvervoltage),
+        (Exact { speed: 401.0, ..GOOD }, Fault::Overspeed),
+        (Exact { speed: -401.0, ..GOOD }, Fault::Overspeed),
+        (Exact { current: 40.5, ..GOOD }, Fault::Overcurrent),
+        (Exact { current: -40.5, ..GOOD }, Fault::Overcurrent),
+        (Exact { bus_voltage: 7.9, ..GOOD }, Fault::BusUndervoltage),
+        (Exact { bus_voltage: 0.0, ..GOOD }, Fault::BusUndervoltage),
+        (Exact { bus_voltage: 28.1, ..GOOD }, Fault::BusOvervoltage),
     ];
     for (sample, fault) in cases {
         let mut drive = armed(&config(Law::Qsmdo));
-        assert_eq!(drive.step(&sample), BridgeCommand::Off, "{fault:?}");
+        assert_eq!(drive.step(&Sample::Exact(sample)), BridgeCommand::Off, "{fault:?}");
         assert_eq!(drive.mode(), Mode::Faulted(fault));
-        assert_eq!(drive.step(&GOOD), BridgeCommand::Off, "{fault:?} must stay");
+        assert_eq!(drive.step(&Sample::Exact(GOOD)), BridgeCommand::Off, "{fault:?} must stay");
         drive.disarm();
         assert_eq!(drive.arm(), Err(Refusal::Faulted(fault)), "disarming clears no fault");
         drive.clear_fault();
-        assert_eq!(drive.step(&GOOD), BridgeCommand::Off, "clearing does not arm");
+        assert_eq!(drive.step(&Sample::Exact(GOOD)), BridgeCommand::Off, "clearing does not arm");
         drive.arm().expect("cleared");
-        assert!(matches!(drive.step(&GOOD), BridgeCommand::Duty(_)));
+        assert!(matches!(drive.step(&Sample::Exact(GOOD)), BridgeCommand::Duty(_)));
     }
 }
 
@@ -271,7 +361,7 @@ fn commands_out_of_range_are_refused_and_the_former_stays() {
     for bad in [f32::NAN, f32::INFINITY, 400.1, -400.1] {
         assert_eq!(drive.set_speed(bad), Err(Refusal::SpeedOutOfRange), "{bad}");
     }
-    drive.step(&GOOD);
+    drive.step(&Sample::Exact(GOOD));
     let telemetry = drive.telemetry().expect("a period was driven");
     assert_eq!(telemetry.reference.speed, 100.0);
 }
@@ -283,14 +373,18 @@ fn a_drive_that_ran_starts_anew_when_armed_again() {
         let mut used = armed(&config);
         used.set_speed(100.0).expect("in range");
         for step in 0..1000 {
-            used.step(&Sample { speed: step as f32 * 0.1, ..GOOD });
+            used.step(&Sample::Exact(Exact { speed: step as f32 * 0.1, ..GOOD }));
         }
         used.disarm();
         used.arm().expect("no fault");
         let mut fresh = armed(&config);
         fresh.set_speed(100.0).expect("in range");
         for _ in 0..10 {
-            assert_eq!(used.step(&GOOD), fresh.step(&GOOD), "{shape:?}");
+            assert_eq!(
+                used.step(&Sample::Exact(GOOD)),
+                fresh.step(&Sample::Exact(GOOD)),
+                "{shape:?}"
+            );
         }
     }
 }
@@ -300,8 +394,8 @@ fn the_duty_is_the_voltage_over_the_measured_bus() {
     for bus_voltage in [12.0, 24.0, 28.0] {
         let mut drive = armed(&config(Law::Qsmdo));
         drive.set_speed(104.72).expect("in range");
-        let sample = Sample { speed: 0.0, current: 0.0, bus_voltage };
-        let BridgeCommand::Duty(duty) = drive.step(&sample) else {
+        let sample = exact(0.0, 0.0, bus_voltage);
+        let BridgeCommand::Duty(duty) = drive.step(&Sample::Exact(sample)) else {
             unreachable!("off at {bus_voltage} V")
         };
         let telemetry = drive.telemetry().expect("a period was driven");
@@ -315,8 +409,8 @@ fn telemetry_tells_the_voltage_after_the_limit() {
     let mut drive = armed(&config(Law::Backstepping));
     drive.set_speed(400.0).expect("in range");
     // At −400 rad/s and −40 A the law wants far more than the bus has.
-    let sample = Sample { speed: 400.0, current: 40.0, bus_voltage: 10.0 };
-    assert_eq!(drive.step(&sample), BridgeCommand::Duty(0.92));
+    let sample = exact(400.0, 40.0, 10.0);
+    assert_eq!(drive.step(&Sample::Exact(sample)), BridgeCommand::Duty(0.92));
     let telemetry = drive.telemetry().expect("a period was driven");
     assert!(telemetry.signals.voltage > 20.0, "{}", telemetry.signals.voltage);
     assert_eq!(telemetry.voltage, 9.2);
@@ -328,9 +422,9 @@ fn the_estimators_memory_is_bounded() {
     // mismatch it remembers is limited to what a start from anywhere needs.
     let mut drive = armed(&config(Law::Qsmdo));
     drive.set_speed(400.0).expect("in range");
-    let stuck = Sample { speed: -400.0, current: 0.0, bus_voltage: 24.0 };
+    let stuck = exact(-400.0, 0.0, 24.0);
     for _ in 0..2_000_000 {
-        drive.step(&stuck);
+        drive.step(&Sample::Exact(stuck));
     }
     let [first, second] = drive.telemetry().expect("driven").sliding_variables;
     assert!(first.abs() <= 800.0, "{first}");
@@ -379,6 +473,16 @@ fn refused_configurations_name_the_field() {
     }
 }
 
+fn paper_form(config: &DriveConfig) -> PaperConfig {
+    let ControlConfig::Paper(paper) = config.control else { unreachable!("made by `config`") };
+    paper
+}
+
+fn in_form(config: &DriveConfig, form: Form) -> ControlConfig {
+    ControlConfig::Paper(PaperConfig { form, ..paper_form(config) })
+}
+
 fn with_gains(config: DriveConfig, gains: Gains) -> DriveConfig {
-    DriveConfig { control: ControlConfig { gains, ..config.control }, ..config }
+    let paper = PaperConfig { gains, ..paper_form(&config) };
+    DriveConfig { control: ControlConfig::Paper(paper), ..config }
 }

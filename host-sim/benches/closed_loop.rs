@@ -8,7 +8,7 @@ use std::hint::black_box;
 fn paper_cycle(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("paper at 20 kHz");
     group.sample_size(20);
-    for controller in Controller::ALL {
+    for controller in Controller::PAPER {
         let mut scenario = Scenario::paper();
         scenario.control.controller = controller;
         group.throughput(Throughput::Elements((scenario.duration * 1e3) as u64));

@@ -1,13 +1,14 @@
 //! The simulated board: motor, bridge, bus and sensors behind the HAL trait.
 //!
-//! One [`Board::apply`] moves the motor on by one PWM period, with the mean voltage of the bridge. Sensors are ideal:
-//! what they add to the truth enters in [`SimulatedBoard::sample`] and nowhere else.
+//! One [`Board::apply`] moves the motor on by one PWM period, with the mean voltage of the bridge. What sensors make of the
+//! truth is in [`crate::sensors`].
 
 use crate::double::SimulatedScalar;
 use crate::plant::{Armature, Plant, State};
 use crate::profile::{Load, Step, Waves, value_at};
-use crate::scenario::Scenario;
-use quasidrive::hal::{Board, BridgeCommand, Sample};
+use crate::scenario::{Bridge, Scenario};
+use crate::sensors::Sensors;
+use quasidrive::hal::{Board, BridgeCommand, Exact, READS, Sample};
 use std::marker::PhantomData;
 
 /// A simulated motor board that speaks to a drive in the scalar `S`.
@@ -21,6 +22,13 @@ pub struct SimulatedBoard<S> {
     substeps: usize,
     delay: bool,
     state: State,
+    /// The shaft's angle (rad).
+    angle: f64,
+    /// What it turned in the last period (rad).
+    advance: f64,
+    sensors: Option<Sensors>,
+    bridge: Bridge,
+    bus_resistance: f64,
     /// The smooth part of the load, at half integration steps.
     waves: Waves,
     period: u64,
@@ -49,6 +57,11 @@ impl<S: SimulatedScalar> SimulatedBoard<S> {
             substeps,
             delay: scenario.timing.delay,
             state: scenario.initial.state(),
+            angle: 0.0,
+            advance: 0.0,
+            sensors: scenario.sensors.map(Sensors::new),
+            bridge: scenario.bridge,
+            bus_resistance: scenario.bus.resistance,
             waves: scenario.load.waves(0.5 / (rate * substeps as f64)),
             period: 0,
             time: 0.0,
@@ -80,27 +93,56 @@ impl<S: SimulatedScalar> SimulatedBoard<S> {
     fn advance(&mut self, acting: BridgeCommand<f64>) {
         let armature = match acting {
             BridgeCommand::Off => Armature::Open(self.bus_now),
-            BridgeCommand::Duty(duty) => Armature::Driven(duty * self.bus_now),
+            BridgeCommand::Duty(duty) => Armature::Driven(self.bridge.voltage(
+                duty,
+                self.bus_now,
+                self.state.current,
+                self.rate,
+            )),
         };
         let h = 1.0 / (self.rate * self.substeps as f64);
+        let start = self.angle;
         for substep in 0..self.substeps {
             // A jump belongs between integration steps: what holds in the middle holds throughout.
             let constant = self.load.steps_at(self.time + (substep as f64 + 0.5) * h);
             let load = [self.waves.sum(), self.waves.advance(), self.waves.advance()];
+            let before = self.state.speed;
             self.state = self.plant.step(self.state, armature, load.map(|wave| constant + wave), h);
+            let gain = self.state.speed - before;
+            if let Some(sensors) = &mut self.sensors {
+                // The reads that fall into this integration step, the period's end included.
+                let read_at = |step: usize| step * READS / self.substeps;
+                for read in read_at(substep)..read_at(substep + 1) {
+                    let share =
+                        (read + 1) as f64 / READS as f64 * self.substeps as f64 - substep as f64;
+                    let turned = share * h * (before + 0.5 * share * gain);
+                    sensors.read_encoder(read, self.angle + turned);
+                }
+            }
+            self.angle += h * (before + 0.5 * gain);
         }
+        self.advance = self.angle - start;
         self.period += 1;
         self.time = self.period as f64 / self.rate;
-        self.bus_now = value_at(&self.bus_steps, self.bus_voltage, self.time);
+        let drawn = match acting {
+            BridgeCommand::Off => 0.0,
+            BridgeCommand::Duty(duty) => duty * self.state.current,
+        };
+        self.bus_now =
+            value_at(&self.bus_steps, self.bus_voltage, self.time) - self.bus_resistance * drawn;
     }
 }
 
 impl<S: SimulatedScalar> Board<S> for SimulatedBoard<S> {
     fn sample(&mut self) -> Sample<S> {
-        Sample {
-            speed: S::from_f64(self.state.speed),
-            current: S::from_f64(self.state.current),
-            bus_voltage: S::from_f64(self.bus_now),
+        match &mut self.sensors {
+            Some(sensors) => Sample::Codes(sensors.sample(self.state.current, self.bus_now)),
+            None => Sample::Exact(Exact {
+                speed: S::from_f64(self.state.speed),
+                advance: S::from_f64(self.advance),
+                current: S::from_f64(self.state.current),
+                bus_voltage: S::from_f64(self.bus_now),
+            }),
         }
     }
 

@@ -56,6 +56,14 @@ impl Scalar for Double {
         Self(f64::from(value))
     }
 
+    fn from_code(code: u16) -> Self {
+        Self(code.into())
+    }
+
+    fn from_difference(difference: i16) -> Self {
+        Self(difference.into())
+    }
+
     fn gain(value: f32) -> f64 {
         f64::from(value)
     }

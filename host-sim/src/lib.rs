@@ -23,5 +23,6 @@ pub mod qemu;
 pub mod report;
 pub mod reproduction;
 pub mod scenario;
+pub mod sensors;
 pub mod simulation;
 pub mod terminal;

@@ -140,9 +140,11 @@ mod tests {
     fn one_wrong_bit_on_the_target_ends_the_run() {
         use crate::qemu::tests::{accepted, against};
         use crate::scenario::Scenario;
+        use quasidrive::hal::Exact;
 
         let config = Scenario::paper().drive_config();
-        let sample = Sample { speed: 1.0, current: 2.0, bus_voltage: 24.0 };
+        let sample =
+            Sample::Exact(Exact { speed: 1.0, advance: 5e-5, current: 2.0, bus_voltage: 24.0 });
         // What a right target answers, from a second drive here.
         let mut twin = Local::<f32>::new(&config).expect("valid");
         let record = |period: Period<f32>| {
@@ -152,7 +154,7 @@ mod tests {
         let first = record(twin.exchange(100.0, &sample).expect("runs"));
         let second = record(twin.exchange(100.0, &sample).expect("runs"));
         let mut wrong = second.to_words();
-        wrong[6] ^= 1;
+        wrong[7] ^= 1;
         let mut reply = second.reply().to_words();
         reply[2] ^= 1;
         let answers =

@@ -6,7 +6,7 @@
 use quasidrive::drive::DriveConfig;
 use quasidrive::hal::Sample;
 use quasidrive::protocol::{
-    MAGIC, Question, Record, Reply, Setup, VERSION, Verdict, sample_to_words,
+    MAGIC, Question, Record, Reply, Setup, VERSION, Verdict, codes_to_words, exact_to_words,
 };
 use std::fs::File;
 use std::io::{ErrorKind, Read, Write};
@@ -168,7 +168,8 @@ impl<'a> Qemu<'a> {
 
     fn set_up(&mut self, config: &DriveConfig) -> Result<(), QemuError> {
         self.send(&[MAGIC, VERSION], SETTING_UP)?;
-        self.send(&Setup(*config).to_words(), SETTING_UP)?;
+        let setup = Setup(*config).to_words().ok_or(QemuError::SetupRefused)?;
+        self.send(&setup, SETTING_UP)?;
         let [magic, version, verdict] = self.receive(SETTING_UP)?;
         if magic != MAGIC {
             return Err(QemuError::NotADrive(magic));
@@ -194,8 +195,11 @@ impl<'a> Qemu<'a> {
             Some(_) => Question::TargetAndSample,
             None => Question::Sample,
         };
-        let words: Vec<u32> =
-            target.map(f32::to_bits).into_iter().chain(sample_to_words(sample)).collect();
+        let mut words: Vec<u32> = target.map(f32::to_bits).into_iter().collect();
+        match sample {
+            Sample::Exact(exact) => words.extend(exact_to_words(exact)),
+            Sample::Codes(codes) => words.extend(codes_to_words(codes)),
+        }
         self.ask(question, &words, RUNNING)?;
         Ok(Reply::from_words(self.receive(RUNNING)?))
     }
@@ -334,7 +338,12 @@ pub(crate) mod tests {
     use quasidrive::drive::Mode;
     use quasidrive::hal::BridgeCommand;
 
-    const SAMPLE: Sample<f32> = Sample { speed: 1.0, current: 2.0, bus_voltage: 24.0 };
+    const SAMPLE: Sample<f32> = Sample::Exact(quasidrive::hal::Exact {
+        speed: 1.0,
+        advance: 5e-5,
+        current: 2.0,
+        bus_voltage: 24.0,
+    });
 
     static NEVER: AtomicBool = AtomicBool::new(false);
 

@@ -17,6 +17,10 @@ fn color(controller: Controller) -> RGBColor {
         Controller::Bs => RGBColor(140, 140, 140),
         Controller::BsQsmdo => RGBColor(200, 60, 20),
         Controller::BsQismc => RGBColor(20, 90, 180),
+        Controller::DriveQsmdo => RGBColor(160, 20, 20),
+        Controller::DriveQismc => RGBColor(20, 20, 140),
+        Controller::Pi => RGBColor(30, 140, 60),
+        Controller::Ladrc => RGBColor(150, 90, 160),
     }
 }
 

@@ -150,10 +150,10 @@ pub fn run(progress: &dyn Fn(u64) -> ProgressBar) -> Result<Reproduction, LinkEr
         scenario
     };
     let (implicit, explicit) = (FormName::Implicit, FormName::Explicit);
-    let doubles = Controller::ALL.map(|controller| vary(controller, implicit, true)).into_iter();
+    let doubles = Controller::PAPER.map(|controller| vary(controller, implicit, true)).into_iter();
     let doubles: Vec<Scenario> =
         doubles.chain([vary(Controller::BsQsmdo, implicit, false)]).collect();
-    let singles = Controller::ALL.map(|controller| vary(controller, implicit, false)).into_iter();
+    let singles = Controller::PAPER.map(|controller| vary(controller, implicit, false)).into_iter();
     let singles: Vec<Scenario> =
         singles.chain([vary(Controller::BsQsmdo, explicit, false)]).collect();
 
@@ -223,7 +223,7 @@ impl Bounds {
     /// The bounds for BS-QSMDO or BS-QISMC on a scenario, and what its run reached. For loads without steps and motors
     /// without Coulomb friction: where the disturbance jumps there is no bound on its rate.
     pub fn of(run: &Run, scenario: &Scenario) -> Self {
-        let gains = scenario.drive_config().control.gains;
+        let gains = scenario.gains();
         let timing = scenario.drive_config().timing;
         let disturbance = Disturbance { load: &scenario.load, inertia: scenario.motor.inertia };
         let estimation_error = |time: f64| {

@@ -4,11 +4,18 @@
 
 use crate::plant::{MOST_STEPS, Motor, Plant, State};
 use crate::profile::{Load, Step};
+use crate::sensors::SensorsTable;
 use clap::ValueEnum;
 use quasidrive::config::ConfigError;
-use quasidrive::control::{ControlConfig, Form, Gains, Law, Start, Timing};
+use quasidrive::control::drive_form::{DriveFormConfig, Memory, bandwidth_for_ripple};
+use quasidrive::control::ladrc::LadrcConfig;
+use quasidrive::control::paper::{Form, Gains, Law, PaperConfig, Start};
+use quasidrive::control::pi::PiConfig;
+use quasidrive::control::{ControlConfig, Timing};
 use quasidrive::drive::{DriveConfig, Limits};
+use quasidrive::estimate::SpeedSource;
 use quasidrive::motor::MotorParameters;
+use quasidrive::sense::Sensors;
 use quasidrive::trajectory::Shape;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -23,19 +30,37 @@ pub struct Scenario {
     pub title: String,
     /// Simulated time (s).
     pub duration: f64,
-    /// The motor; the controller is built for the same one, less Coulomb friction.
+    /// The motor; the controller is built for the same one, less Coulomb friction, unless `model` says otherwise.
     pub motor: Motor,
+    /// What the controller believes of the motor.
+    #[serde(default)]
+    pub model: Model,
     /// Sampling.
     #[serde(default)]
     pub timing: TimingTable,
     /// Supply.
     #[serde(default)]
     pub bus: Bus,
+    /// How the bridge fails to be ideal.
+    #[serde(default)]
+    pub bridge: Bridge,
+    /// What stands between the truth and the drive; without it sensors are exact.
+    pub sensors: Option<SensorsTable>,
     /// Which law runs, and how.
     #[serde(default)]
     pub control: Control,
-    /// The law's gains.
+    /// Gains of the paper's form; by default the paper's.
+    #[serde(default)]
     pub gains: GainsTable,
+    /// Tuning of the drive form.
+    #[serde(default)]
+    pub tuning: Tuning,
+    /// Tuning of the cascaded PI controllers.
+    #[serde(default)]
+    pub pi: PiTable,
+    /// Tuning of LADRC.
+    #[serde(default)]
+    pub ladrc: LadrcTable,
     /// Limits of the drive.
     #[serde(default)]
     pub limits: LimitsTable,
@@ -65,6 +90,54 @@ impl Default for TimingTable {
     }
 }
 
+/// `[model]`: what the controller believes, as multiples of the truth.
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+#[expect(missing_docs, reason = "as in `[motor]`")]
+pub struct Model {
+    pub inertia: f64,
+    pub inductance: f64,
+    pub resistance: f64,
+    pub back_emf_constant: f64,
+}
+
+impl Default for Model {
+    fn default() -> Self {
+        Self { inertia: 1.0, inductance: 1.0, resistance: 1.0, back_emf_constant: 1.0 }
+    }
+}
+
+/// `[bridge]`
+#[derive(Clone, Copy, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Bridge {
+    /// Steps of the duty from 0 to 1; none: any duty.
+    pub duty_steps: u32,
+    /// Dead time of each half-bridge (s).
+    pub dead_time: f64,
+    /// Whether the motor is connected the wrong way round, which the drive does not know.
+    pub leads_reversed: bool,
+}
+
+impl Bridge {
+    /// Current (A) up to which its ripple lets the dead time's voltage change its sign within a period.
+    const RIPPLE: f64 = 0.05;
+
+    /// The mean armature voltage (V) of a duty.
+    pub fn voltage(&self, duty: f64, bus: f64, current: f64, rate: f64) -> f64 {
+        let duty = if self.duty_steps > 0 {
+            let steps = f64::from(self.duty_steps);
+            (duty * steps).round() / steps
+        } else {
+            duty
+        };
+        // Both half-bridges lose the dead time once a period, against the current.
+        let lost = 2.0 * self.dead_time * rate * (current / Self::RIPPLE).clamp(-1.0, 1.0);
+        let duty = if self.leads_reversed { -duty } else { duty };
+        (duty - lost) * bus
+    }
+}
+
 /// `[bus]`
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -73,11 +146,13 @@ pub struct Bus {
     pub voltage: f64,
     /// Voltages that replace it from their times on.
     pub steps: Vec<Step>,
+    /// Resistance of the supply (Ω).
+    pub resistance: f64,
 }
 
 impl Default for Bus {
     fn default() -> Self {
-        Self { voltage: 24.0, steps: Vec::new() }
+        Self { voltage: 24.0, steps: Vec::new(), resistance: 0.0 }
     }
 }
 
@@ -91,6 +166,67 @@ pub struct Control {
     pub form: FormName,
     /// Where BS-QSMDO's observer starts.
     pub start: StartName,
+    /// Where the speed comes from, for all but the drive form; by default exact, or a fed loop if there are sensors.
+    pub speed: Option<SpeedName>,
+    /// Bandwidth of that (rad/s).
+    pub speed_bandwidth: Option<f64>,
+}
+
+/// Where a controller that wants a speed has it from.
+#[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq)]
+#[serde(rename_all = "kebab-case")]
+pub enum SpeedName {
+    /// From exact sensors.
+    Exact,
+    /// The angle's difference, low-passed.
+    Difference,
+    /// A phase-locked loop.
+    Pll,
+    /// One that is fed with the acceleration that the controller knows of.
+    FedPll,
+}
+
+/// `[tuning]` of the drive form; see [`DriveFormConfig`].
+#[derive(Clone, Copy, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Tuning {
+    /// Bandwidth of the observer (rad/s), from which the others follow.
+    pub bandwidth: Option<f64>,
+    /// In its place, the voltage ripple that it is to make (V rms).
+    pub ripple: Option<f64>,
+    /// Largest load torque (N·m).
+    pub load_torque: Option<f64>,
+    /// Voltage reserve (V).
+    pub voltage_reserve: Option<f64>,
+    /// Convergence rate of z1 (1/s).
+    pub speed_bandwidth: Option<f64>,
+    /// Convergence rate of the current (1/s).
+    pub current_bandwidth: Option<f64>,
+    /// Bandwidth of the observer of the armature's unmodelled voltage (1/s).
+    pub voltage_bandwidth: Option<f64>,
+    /// Bandwidth of the filter ahead of the bridge (1/s).
+    pub output_bandwidth: Option<f64>,
+}
+
+/// `[pi]`: what is to differ from a tuning by the book; see [`PiConfig`].
+#[derive(Clone, Copy, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+#[expect(missing_docs, reason = "documented where they are used, in quasidrive")]
+pub struct PiTable {
+    pub current_bandwidth: Option<f64>,
+    pub speed_bandwidth: Option<f64>,
+    pub speed_damping: Option<f64>,
+    pub disturbance: Option<f64>,
+}
+
+/// `[ladrc]`: by default a speed loop of 150 rad/s and the rest by the book; see [`LadrcConfig`].
+#[derive(Clone, Copy, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+#[expect(missing_docs, reason = "documented where they are used, in quasidrive")]
+pub struct LadrcTable {
+    pub control_bandwidth: Option<f64>,
+    pub observer_bandwidth: Option<f64>,
+    pub current_bandwidth: Option<f64>,
 }
 
 /// A law, by the paper's name for it.
@@ -104,19 +240,19 @@ pub enum Controller {
     BsQsmdo,
     /// With quasi-integral sliding mode control.
     BsQismc,
+    /// The drive form of BS-QSMDO.
+    DriveQsmdo,
+    /// The drive form of BS-QISMC.
+    DriveQismc,
+    /// Cascaded PI controllers, tuned by the book.
+    Pi,
+    /// Linear active disturbance rejection control.
+    Ladrc,
 }
 
 impl Controller {
-    /// All of them, in the paper's order.
-    pub const ALL: [Self; 3] = [Self::Bs, Self::BsQsmdo, Self::BsQismc];
-
-    fn law(self) -> Law {
-        match self {
-            Self::Bs => Law::Backstepping,
-            Self::BsQsmdo => Law::Qsmdo,
-            Self::BsQismc => Law::Qismc,
-        }
-    }
+    /// The paper's, in its order.
+    pub const PAPER: [Self; 3] = [Self::Bs, Self::BsQsmdo, Self::BsQismc];
 }
 
 impl fmt::Display for Controller {
@@ -125,6 +261,10 @@ impl fmt::Display for Controller {
             Self::Bs => "BS",
             Self::BsQsmdo => "BS-QSMDO",
             Self::BsQismc => "BS-QISMC",
+            Self::DriveQsmdo => "drive BS-QSMDO",
+            Self::DriveQismc => "drive BS-QISMC",
+            Self::Pi => "PI",
+            Self::Ladrc => "LADRC",
         })
     }
 }
@@ -163,6 +303,12 @@ pub struct GainsTable {
     pub epsilon2: f64,
 }
 
+impl Default for GainsTable {
+    fn default() -> Self {
+        Self { c: 200.0, k1: 1300.0, epsilon1: 0.05, k2: 755e3, epsilon2: 5.0 }
+    }
+}
+
 /// `[limits]`; see [`Limits`].
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -171,13 +317,22 @@ pub struct LimitsTable {
     pub duty: f64,
     pub speed: f64,
     pub current: f64,
+    /// By default half of `current`.
+    pub current_command: Option<f64>,
     pub bus_min: f64,
     pub bus_max: f64,
 }
 
 impl Default for LimitsTable {
     fn default() -> Self {
-        Self { duty: 0.92, speed: 1000.0, current: 40.0, bus_min: 8.0, bus_max: 28.0 }
+        Self {
+            duty: 0.92,
+            speed: 1000.0,
+            current: 40.0,
+            current_command: None,
+            bus_min: 8.0,
+            bus_max: 28.0,
+        }
     }
 }
 
@@ -261,7 +416,7 @@ const TOO_FAST: &str = "must not give, with the other parameters, a motor that t
                         a period";
 
 /// A field that breaks a rule.
-struct Broken {
+pub(crate) struct Broken {
     field: String,
     rule: String,
 }
@@ -275,22 +430,29 @@ impl From<ConfigError> for Broken {
     }
 }
 
-fn rule(holds: bool, field: &str, rule: &str, value: f64) -> Result<(), Broken> {
+pub(crate) fn rule(holds: bool, field: &str, rule: &str, value: f64) -> Result<(), Broken> {
     if holds {
         return Ok(());
     }
     Err(Broken { field: field.to_owned(), rule: format!("{rule}, but is {value:?}") })
 }
 
-fn finite(field: &str, value: f64) -> Result<(), Broken> {
+/// Sets what the scenario sets.
+fn replace(field: &mut f32, value: Option<f64>) {
+    if let Some(value) = value {
+        *field = value as f32;
+    }
+}
+
+pub(crate) fn finite(field: &str, value: f64) -> Result<(), Broken> {
     rule(value.is_finite(), field, "must be finite", value)
 }
 
-fn positive(field: &str, value: f64) -> Result<(), Broken> {
+pub(crate) fn positive(field: &str, value: f64) -> Result<(), Broken> {
     rule(value > 0.0 && value.is_finite(), field, "must be positive and finite", value)
 }
 
-fn non_negative(field: &str, value: f64) -> Result<(), Broken> {
+pub(crate) fn non_negative(field: &str, value: f64) -> Result<(), Broken> {
     rule(value >= 0.0 && value.is_finite(), field, "must be zero or positive, and finite", value)
 }
 
@@ -376,6 +538,22 @@ impl Scenario {
         non_negative("motor.coulomb_friction", self.motor.coulomb_friction)?;
         positive("bus.voltage", self.bus.voltage)?;
         check_steps("bus.steps", &self.bus.steps, positive)?;
+        non_negative("bus.resistance", self.bus.resistance)?;
+        for (field, value) in [
+            ("model.inertia", self.model.inertia),
+            ("model.inductance", self.model.inductance),
+            ("model.resistance", self.model.resistance),
+            ("model.back_emf_constant", self.model.back_emf_constant),
+        ] {
+            positive(field, value)?;
+        }
+        let dead_time = self.bridge.dead_time;
+        non_negative("bridge.dead_time", dead_time)?;
+        let short = dead_time * self.timing.rate <= 0.1;
+        rule(short, "bridge.dead_time", "must be at most a tenth of a period", dead_time)?;
+        if let Some(sensors) = &self.sensors {
+            sensors.check()?;
+        }
         for (field, value, limit) in [
             ("initial.speed", self.initial.speed, self.limits.speed),
             ("initial.current", self.initial.current, self.limits.current),
@@ -407,39 +585,21 @@ impl Scenario {
 
     /// The configuration of the drive that this scenario tests.
     pub fn drive_config(&self) -> DriveConfig {
-        let gains = &self.gains;
         let limits = &self.limits;
+        let current_command = limits.current_command.unwrap_or(0.5 * limits.current);
         DriveConfig {
-            motor: MotorParameters {
-                inertia: self.motor.inertia as f32,
-                inductance: self.motor.inductance as f32,
-                resistance: self.motor.resistance as f32,
-                viscous_friction: self.motor.viscous_friction as f32,
-                back_emf_constant: self.motor.back_emf_constant as f32,
+            motor: self.believed_motor(),
+            sensors: match &self.sensors {
+                Some(sensors) => Sensors::Codes(sensors.calibration()),
+                None => Sensors::Exact,
             },
-            control: ControlConfig {
-                law: self.control.controller.law(),
-                gains: Gains {
-                    c: gains.c as f32,
-                    k1: gains.k1 as f32,
-                    epsilon1: gains.epsilon1 as f32,
-                    k2: gains.k2 as f32,
-                    epsilon2: gains.epsilon2 as f32,
-                },
-                form: match self.control.form {
-                    FormName::Implicit => Form::Implicit,
-                    FormName::Explicit => Form::Explicit,
-                },
-                start: match self.control.start {
-                    StartName::Zero => Start::Zero,
-                    StartName::Matched => Start::Matched,
-                },
-            },
-            timing: Timing { rate: self.timing.rate as f32, delay: self.timing.delay },
+            control: self.control_config(),
+            timing: self.believed_timing(),
             limits: Limits {
                 duty: limits.duty as f32,
                 speed: limits.speed as f32,
                 current: limits.current as f32,
+                current_command: current_command as f32,
                 bus_min: limits.bus_min as f32,
                 bus_max: limits.bus_max as f32,
             },
@@ -450,6 +610,129 @@ impl Scenario {
                 _ => Shape::Step,
             },
         }
+    }
+
+    fn believed_timing(&self) -> Timing {
+        Timing { rate: self.timing.rate as f32, delay: self.timing.delay }
+    }
+
+    fn believed_motor(&self) -> MotorParameters {
+        let Self { motor, model, .. } = self;
+        MotorParameters {
+            inertia: (motor.inertia * model.inertia) as f32,
+            inductance: (motor.inductance * model.inductance) as f32,
+            resistance: (motor.resistance * model.resistance) as f32,
+            viscous_friction: motor.viscous_friction as f32,
+            back_emf_constant: (motor.back_emf_constant * model.back_emf_constant) as f32,
+        }
+    }
+
+    fn control_config(&self) -> ControlConfig {
+        let paper = |law| ControlConfig::Paper(self.paper_config(law));
+        match self.control.controller {
+            Controller::Bs => paper(Law::Backstepping),
+            Controller::BsQsmdo => paper(Law::Qsmdo),
+            Controller::BsQismc => paper(Law::Qismc),
+            Controller::DriveQsmdo => ControlConfig::Drive(self.drive_form()),
+            Controller::DriveQismc => {
+                ControlConfig::Drive(self.drive_form().with_memory(Memory::Integral))
+            }
+            Controller::Pi => ControlConfig::Pi(self.pi_config()),
+            Controller::Ladrc => ControlConfig::Ladrc(self.ladrc_config()),
+        }
+    }
+
+    fn pi_config(&self) -> PiConfig {
+        let PiTable { current_bandwidth, speed_bandwidth, speed_damping, disturbance } = self.pi;
+        let mut config = PiConfig::magnitude_and_symmetrical_optimum(
+            &self.believed_timing(),
+            self.speed_source(),
+        );
+        replace(&mut config.current_bandwidth, current_bandwidth);
+        replace(&mut config.speed_bandwidth, speed_bandwidth);
+        replace(&mut config.speed_damping, speed_damping);
+        config.disturbance = disturbance.map(|bandwidth| bandwidth as f32);
+        config
+    }
+
+    fn ladrc_config(&self) -> LadrcConfig {
+        let LadrcTable { control_bandwidth, observer_bandwidth, current_bandwidth } = self.ladrc;
+        let mut config = LadrcConfig::by_bandwidth(
+            control_bandwidth.unwrap_or(150.0) as f32,
+            &self.believed_timing(),
+            self.speed_source(),
+        );
+        replace(&mut config.observer_bandwidth, observer_bandwidth);
+        replace(&mut config.current_bandwidth, current_bandwidth);
+        config
+    }
+
+    fn speed_source(&self) -> SpeedSource {
+        let default = if self.sensors.is_some() { SpeedName::FedPll } else { SpeedName::Exact };
+        let default_bandwidth = match self.control.controller {
+            // Slow enough for the estimators of the paper's form to build on; the others want little lag.
+            Controller::Bs | Controller::BsQsmdo | Controller::BsQismc => 1400.0,
+            _ => 4000.0,
+        };
+        let bandwidth = self.control.speed_bandwidth.unwrap_or(default_bandwidth) as f32;
+        match self.control.speed.unwrap_or(default) {
+            SpeedName::Exact => SpeedSource::Exact,
+            SpeedName::Difference => SpeedSource::Difference { bandwidth },
+            SpeedName::Pll => SpeedSource::Pll { bandwidth, fed: false },
+            SpeedName::FedPll => SpeedSource::Pll { bandwidth, fed: true },
+        }
+    }
+
+    /// Gains of the paper's form.
+    pub fn gains(&self) -> Gains {
+        let GainsTable { c, k1, epsilon1, k2, epsilon2 } = self.gains;
+        Gains {
+            c: c as f32,
+            k1: k1 as f32,
+            epsilon1: epsilon1 as f32,
+            k2: k2 as f32,
+            epsilon2: epsilon2 as f32,
+        }
+    }
+
+    fn paper_config(&self, law: Law) -> PaperConfig {
+        PaperConfig {
+            law,
+            gains: self.gains(),
+            form: match self.control.form {
+                FormName::Implicit => Form::Implicit,
+                FormName::Explicit => Form::Explicit,
+            },
+            start: match self.control.start {
+                StartName::Zero => Start::Zero,
+                StartName::Matched => Start::Matched,
+            },
+            speed: self.speed_source(),
+        }
+    }
+
+    fn drive_form(&self) -> DriveFormConfig {
+        let &Tuning { bandwidth, ripple, load_torque, voltage_reserve, .. } = &self.tuning;
+        let motor = self.believed_motor();
+        let limits = &self.limits;
+        let current = limits.current_command.unwrap_or(0.5 * limits.current);
+        let bandwidth = bandwidth.map_or_else(
+            || {
+                let ripple = ripple.unwrap_or(1e-3 * self.bus.voltage);
+                let calibration = self.sensors.unwrap_or_default().calibration();
+                let timing = self.believed_timing();
+                bandwidth_for_ripple(&motor, &timing, &calibration, ripple as f32)
+            },
+            |bandwidth| bandwidth as f32,
+        );
+        let torque = load_torque.unwrap_or(self.motor.back_emf_constant * current);
+        let reserve = voltage_reserve.unwrap_or(0.1 * self.bus.voltage);
+        let mut config = DriveFormConfig::new(bandwidth, torque as f32, reserve as f32);
+        replace(&mut config.speed_bandwidth, self.tuning.speed_bandwidth);
+        replace(&mut config.current_bandwidth, self.tuning.current_bandwidth);
+        replace(&mut config.voltage_bandwidth, self.tuning.voltage_bandwidth);
+        replace(&mut config.output_bandwidth, self.tuning.output_bandwidth);
+        config
     }
 
     /// Number of PWM periods that are played.

@@ -7,9 +7,12 @@
 //! boards have the same. Used here: UART0, TIMER0, the NVIC.
 #![allow(unsafe_code, reason = "memory-mapped registers")]
 
-use crate::drive::Drive;
+use crate::drive::{Drive, DriveConfig};
 use crate::hal::{Board, BridgeCommand, Sample};
-use crate::protocol::{MAGIC, Question, Record, Setup, VERSION, Verdict, sample_from_words};
+use crate::protocol::{
+    MAGIC, Question, Record, Setup, VERSION, Verdict, codes_from_words, exact_from_words,
+};
+use crate::sense::Sensors;
 use core::cell::UnsafeCell;
 use cortex_m::peripheral::NVIC;
 use cortex_m_rt::exception;
@@ -127,6 +130,8 @@ impl Board<f32> for Exchange {
 /// What the timer's interrupt works on.
 struct Loop {
     drive: Drive<f32>,
+    /// What the host's samples are.
+    sensors: Sensors,
     serial: Serial,
     pacer: Pacer,
     record: Record,
@@ -148,7 +153,10 @@ impl Loop {
                 None => stop(),
             }
         }
-        let sample = sample_from_words(self.serial.read());
+        let sample = match self.sensors {
+            Sensors::Exact => Sample::Exact(exact_from_words(self.serial.read())),
+            Sensors::Codes(_) => Sample::Codes(codes_from_words(self.serial.read())),
+        };
         let mut board = Exchange { sample, command: BridgeCommand::Off };
         self.drive.run_period(&mut board);
         self.record = Record {
@@ -179,24 +187,24 @@ fn calibration() {
 pub fn run() -> ! {
     calibration();
     let mut serial = Serial::start();
-    let (drive, rate) = loop {
+    let (drive, config) = loop {
         if let Some(accepted) = set_up(&mut serial) {
             break accepted;
         }
     };
     let record = Record { command: BridgeCommand::Off, mode: drive.mode(), telemetry: None };
-    let pacer = Pacer::new(rate);
+    let pacer = Pacer::new(config.timing.rate);
     pacer.start();
     // SAFETY: the timer's interrupt, the only other user, is still masked.
-    unsafe { *LOOP.0.get() = Some(Loop { drive, serial, pacer, record }) };
+    unsafe { *LOOP.0.get() = Some(Loop { drive, sensors: config.sensors, serial, pacer, record }) };
     enable_interrupt();
     loop {
         cortex_m::asm::wfi();
     }
 }
 
-/// Answers a setup; gives the armed drive and its rate (Hz) if it is accepted.
-fn set_up(serial: &mut Serial) -> Option<(Drive<f32>, f32)> {
+/// Answers a setup; gives the armed drive and its configuration if it is accepted.
+fn set_up(serial: &mut Serial) -> Option<(Drive<f32>, DriveConfig)> {
     let [magic, version] = serial.read();
     let answer = |serial: &mut Serial, verdict: Verdict| {
         serial.write([MAGIC, VERSION, verdict as u32]);
@@ -209,11 +217,11 @@ fn set_up(serial: &mut Serial) -> Option<(Drive<f32>, f32)> {
     let built = Setup::from_words(serial.read()).and_then(|Setup(config)| {
         let mut drive = Drive::new(&config).ok()?;
         drive.arm().ok()?;
-        Some((drive, config.timing.rate))
+        Some((drive, config))
     });
     answer(serial, if built.is_some() { Verdict::Accepted } else { Verdict::Refused });
     match &built {
-        Some((_, rate)) => defmt::info!("drive armed, {=f32} Hz", *rate),
+        Some((_, config)) => defmt::info!("drive armed, {=f32} Hz", config.timing.rate),
         None => defmt::error!("setup refused"),
     }
     built

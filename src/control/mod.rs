@@ -1,125 +1,199 @@
-//! Speed control laws: pure functions of a sample, a reference and a small state. No hardware, no units but SI.
+//! Speed controllers: pure functions of a sample, a reference and a small state. No hardware, no units but SI.
 //!
-//! - [`Controller`] composes the law and, for BS-QSMDO and BS-QISMC, an estimator;
-//! - `config` is what it is built from, `backstepping` the law, `estimator` the two estimators, `channel` what both are
-//!   made of;
+//! - [`Controller`] is any of them: [`paper`], the paper's own form of BS, BS-QSMDO and BS-QISMC; [`drive_form`], BS-QSMDO
+//!   and BS-QISMC as a drive with an encoder needs them; [`pi`] and [`ladrc`], what users would pick instead;
 //! - [`injection`] is the quasi-sliding injection, [`bounds`] the ultimate bounds.
 //!
-//! Not here: shaping of the reference ([`crate::trajectory`]), limits, duty and faults ([`crate::drive`]).
+//! Not here: shaping of the reference ([`crate::trajectory`]), duty and faults ([`crate::drive`]).
 
-mod backstepping;
 pub mod bounds;
-mod channel;
-mod config;
-mod estimator;
+pub mod drive_form;
 pub mod injection;
+pub mod ladrc;
+pub mod paper;
+pub mod pi;
 
 use crate::config::{ConfigError, require};
 use crate::math::Scalar;
 use crate::motor::Coefficients;
+use crate::sense::Measured;
 use crate::trajectory::Reference;
-use backstepping::Backstepping;
-pub use channel::{Form, Start};
-pub(crate) use config::Ranges;
-pub use config::{ControlConfig, Gains, Law, Timing};
-use estimator::Estimator;
+use drive_form::DriveForm;
+use ladrc::Ladrc;
+use paper::Paper;
+use pi::CascadedPi;
+use serde::{Deserialize, Serialize};
+
+/// When the loop samples and when its voltage takes effect.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Timing {
+    /// Sampling rate, which is the PWM rate (Hz). From 100 to 10 million.
+    pub rate: f32,
+    /// Whether a voltage takes effect one period after the sample it was computed from, as on every real board, or at
+    /// once, as in a textbook.
+    pub delay: bool,
+}
+
+impl Timing {
+    /// The sampling period h (s).
+    pub fn period(&self) -> f32 {
+        1.0 / self.rate
+    }
+
+    /// Time from a sample to the end of the period in which the voltage computed from it acts (s).
+    pub fn horizon(&self) -> f32 {
+        if self.delay { 2.0 * self.period() } else { self.period() }
+    }
+
+    pub(crate) fn check(&self) -> Result<(), ConfigError> {
+        require(
+            (100.0..=1e7).contains(&self.rate),
+            "timing.rate",
+            "must be from 100 Hz to 10 MHz",
+            self.rate,
+        )?;
+        Ok(())
+    }
+}
+
+/// Largest magnitudes that a sample and a command may have, and what may be asked for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Ranges {
+    /// Speed, measured or commanded (rad/s).
+    pub speed: f32,
+    /// Current, measured (A).
+    pub current: f32,
+    /// Current that a controller may ask for (A).
+    pub current_command: f32,
+}
+
+/// What a controller is built for.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Setting<'a> {
+    /// The motor's model.
+    pub motor: &'a Coefficients,
+    /// Sampling rate and delay.
+    pub timing: &'a Timing,
+    /// How long before a sample its angle lies (s).
+    pub age: f32,
+    /// What it may see and ask for.
+    pub ranges: &'a Ranges,
+}
+
+/// Which controller runs, with its gains.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum ControlConfig {
+    /// The paper's form of BS, BS-QSMDO or BS-QISMC.
+    Paper(paper::PaperConfig),
+    /// The drive form of BS-QSMDO or BS-QISMC.
+    Drive(drive_form::DriveFormConfig),
+    /// Cascaded PI controllers of current and speed.
+    Pi(pi::PiConfig),
+    /// Linear active disturbance rejection control.
+    Ladrc(ladrc::LadrcConfig),
+}
 
 /// What a control step saw and decided.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Signals<S> {
+    /// Shaft speed ω, measured or estimated (rad/s).
+    pub speed: S,
     /// Speed error z1 = ω − ω_d (rad/s).
     pub z1: S,
-    /// Error of the virtual control, z2 = a2·i − x2* (rad/s²).
+    /// Error of the virtual control, z2 = a2·(i − i*) (rad/s²).
     pub z2: S,
-    /// Estimated disturbance d̂ = −T̂_l/J (rad/s²); zero in plain backstepping.
+    /// Estimated disturbance d̂ = −T̂_l/J (rad/s²); zero where none is estimated.
     pub disturbance: S,
     /// Wanted armature voltage u (V), before any limit.
     pub voltage: S,
 }
 
-/// A speed controller: coefficients that are built once, and the state of its estimator.
+impl<S: Scalar> Signals<S> {
+    /// Nothing seen, nothing decided.
+    pub const NONE: Self =
+        Self { speed: S::ZERO, z1: S::ZERO, z2: S::ZERO, disturbance: S::ZERO, voltage: S::ZERO };
+}
+
+/// A speed controller: coefficients that are built once, and its state.
 #[derive(Clone, Debug)]
-#[repr(C)] // What every step loads comes first, in reach of short loads.
-pub struct Controller<S: Scalar> {
-    last: Signals<S>,
-    law: Backstepping<S>,
-    estimator: Option<Estimator<S>>,
+pub(crate) enum Controller<S: Scalar> {
+    Paper(Paper<S>),
+    Drive(DriveForm<S>),
+    Pi(CascadedPi<S>),
+    Ladrc(Ladrc<S>),
 }
 
 impl<S: Scalar> Controller<S> {
-    /// Builds the law for a motor. Refuses gains outside their range, naming the field.
-    pub(crate) fn new(
-        motor: &Coefficients,
-        config: &ControlConfig,
-        timing: &Timing,
-        ranges: &Ranges,
-    ) -> Result<Self, ConfigError> {
-        timing.check()?;
-        let gains = &config.gains;
-        gains.check()?;
-        require(
-            gains.c * timing.horizon() <= 0.4 * (1.0 + f32::EPSILON),
-            "gains.c",
-            "must be at most 0.4 of 1/horizon, the horizon being a period, or two with the delay",
-            gains.c,
-        )?;
-        let law = Backstepping::new(motor, gains, ranges)?;
-        let estimator = match config.law {
-            Law::Backstepping => None,
-            Law::Qsmdo | Law::Qismc => {
-                let ranges = (ranges.speed_error(), ranges.z2(motor, gains));
-                Some(Estimator::new(config, timing, ranges)?)
-            }
-        };
-        let last = Signals { z1: S::ZERO, z2: S::ZERO, disturbance: S::ZERO, voltage: S::ZERO };
-        Ok(Self { last, law, estimator })
+    /// Builds a controller. Refuses gains outside their range, naming the field.
+    pub fn new(config: &ControlConfig, setting: &Setting) -> Result<Self, ConfigError> {
+        setting.timing.check()?;
+        Ok(match config {
+            ControlConfig::Paper(config) => Self::Paper(Paper::new(config, setting)?),
+            ControlConfig::Drive(config) => Self::Drive(DriveForm::new(config, setting)?),
+            ControlConfig::Pi(config) => Self::Pi(CascadedPi::new(config, setting)?),
+            ControlConfig::Ladrc(config) => Self::Ladrc(Ladrc::new(config, setting)?),
+        })
     }
 
-    /// Forgets the past and starts at a sample, of which [`step`](Self::step) is to be told next.
-    pub fn start(&mut self, speed: S, current: S, reference: &Reference<S>) {
-        let Some(estimator) = &mut self.estimator else { return };
-        let modelled = self.law.modelled_acceleration(speed, current);
-        let z1 = speed - reference.speed;
-        estimator.start_disturbance(speed, modelled, reference);
-        // The second channel starts from the z2 that the step is going to have.
-        let disturbance = estimator.disturbance(speed, modelled, reference);
-        let z2 = self.law.z2(z1, modelled, reference, disturbance);
-        estimator.start_lumped(z2, self.law.z2_rate(z1, z2));
-        estimator.start_disturbance(speed, modelled, reference);
+    /// Follows the motor at a sample while the bridge is off. Gives the speed (rad/s).
+    pub fn follow(&mut self, measured: &Measured<S>) -> S {
+        match self {
+            Self::Paper(paper) => paper.follow(measured),
+            Self::Drive(drive) => drive.follow(measured),
+            Self::Pi(pi) => pi.follow(measured),
+            Self::Ladrc(ladrc) => ladrc.follow(measured),
+        }
     }
 
-    /// One step: from the speed ω (rad/s), the armature current i (A) and the reference to the wanted armature voltage u
-    /// (V), before any limit.
-    // Not inlined, for its instructions to be counted apart from its caller's.
-    #[inline(never)]
-    pub fn step(&mut self, speed: S, current: S, reference: &Reference<S>) -> S {
-        let z1 = speed - reference.speed;
-        let modelled = self.law.modelled_acceleration(speed, current);
-        let (z2, disturbance, lumped) = match &mut self.estimator {
-            Some(estimator) => {
-                let disturbance = estimator.disturbance(speed, modelled, reference);
-                let z2 = self.law.z2(z1, modelled, reference, disturbance);
-                (z2, disturbance, estimator.lumped(z2, self.law.z2_rate(z1, z2)))
-            }
-            None => (self.law.z2(z1, modelled, reference, S::ZERO), S::ZERO, S::ZERO),
-        };
-        let estimates = (disturbance, lumped);
-        let voltage = self.law.voltage((speed, current), (z1, z2), reference, estimates);
-        self.last = Signals { z1, z2, disturbance, voltage };
-        voltage
+    /// Starts at a sample, of which [`step`](Self::step) is to be told next, from what it followed before.
+    pub fn start(&mut self, measured: &Measured<S>, reference: &Reference<S>) {
+        match self {
+            Self::Paper(paper) => paper.start(measured, reference),
+            Self::Drive(drive) => drive.start(measured, reference),
+            Self::Pi(pi) => pi.start(measured, reference),
+            Self::Ladrc(ladrc) => ladrc.start(measured, reference),
+        }
+    }
+
+    /// One step: from a sample, its reference and the armature voltage that acts from this sample on (V) to the wanted
+    /// armature voltage for the period after (V), before the duty limit.
+    #[inline]
+    pub fn step(&mut self, measured: &Measured<S>, reference: &Reference<S>, acting: S) -> S {
+        match self {
+            Self::Paper(paper) => paper.step(measured, reference),
+            Self::Drive(drive) => drive.step(measured, reference, acting),
+            Self::Pi(pi) => pi.step(measured, reference, acting),
+            Self::Ladrc(ladrc) => ladrc.step(measured, reference, acting),
+        }
     }
 
     /// What the last step saw and decided; zeros before the first.
+    #[inline]
     pub fn signals(&self) -> &Signals<S> {
-        &self.last
+        match self {
+            Self::Paper(paper) => paper.signals(),
+            Self::Drive(drive) => drive.signals(),
+            Self::Pi(pi) => pi.signals(),
+            Self::Ladrc(ladrc) => ladrc.signals(),
+        }
     }
 
-    /// The sliding variables of the last step, zero in plain backstepping: ω − x̂1 (QISMC: s1) (rad/s) and
-    /// z2 − ẑ2 (QISMC: s2) (rad/s²).
+    /// The sliding variables of the last step where there are any, else zero: ω − x̂1 (QISMC: s1) (rad/s), and z2 − ẑ2
+    /// (QISMC: s2) (rad/s²) or, in the drive form, i − î (A).
     pub fn sliding_variables(&self) -> [S; 2] {
-        match &self.estimator {
-            Some(estimator) => estimator.sliding_variables(),
-            None => [S::ZERO; 2],
+        match self {
+            Self::Paper(paper) => paper.sliding_variables(),
+            Self::Drive(drive) => drive.sliding_variables(),
+            Self::Pi(_) | Self::Ladrc(_) => [S::ZERO; 2],
+        }
+    }
+
+    /// How many steps in a row the disturbance has been at the end of the observer's authority, where there is one.
+    #[inline]
+    pub fn exhausted(&self) -> u32 {
+        match self {
+            Self::Drive(drive) => drive.exhausted(),
+            Self::Paper(_) | Self::Pi(_) | Self::Ladrc(_) => 0,
         }
     }
 }

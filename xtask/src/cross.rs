@@ -60,7 +60,6 @@ impl Cross {
             .args(&["--bin", board, "--features", board])
             // Without it all but errors are compiled out.
             .env("DEFMT_LOG", "info")
-            // For the size of a type. Nothing of it is in the image.
             .run()?;
         let built = self.target_dir().join(TARGET).join("firmware").join(board);
         let elf = root().join(format!("target/firmware/{board}.elf"));

@@ -14,7 +14,8 @@
 //! (47); (8), (45) and (47) lack a2 on a3·x1, a4·x2 and u/La; z2 is a2·x2 − x2* throughout; (21) and (47) print +c·d̂,
 //! which would leave c·d in ζ2.
 
-use super::config::{Gains, Ranges};
+use super::super::Ranges;
+use super::config::{Gains, speed_error_range, z2_range};
 use crate::config::{ConfigError, require};
 use crate::math::Scalar;
 use crate::motor::Coefficients;
@@ -54,11 +55,11 @@ impl<S: Scalar> Backstepping<S> {
         let z2 = -volts * 2.0 * c;
         let disturbance = volts * a1;
         let lumped = -volts * k2;
-        let z2_range = ranges.z2(motor, gains);
+        let z2_range = z2_range(ranges, motor, gains);
         require(z2_range <= 1e12, "gains.c", "must keep z2 within 1e12 rad/s²", c)?;
         let largest_voltage = speed.abs() * ranges.speed
             + current * ranges.current
-            + z1.abs() * ranges.speed_error()
+            + z1.abs() * speed_error_range(ranges)
             + z2.abs() * z2_range
             + disturbance * k1
             + lumped.abs();
@@ -146,7 +147,7 @@ mod tests {
             .coefficients()
             .expect("valid");
             let gains = Gains { c, ..Gains::PAPER };
-            let ranges = Ranges { speed: 400.0, current: 40.0 };
+            let ranges = Ranges { speed: 400.0, current: 40.0, current_command: 30.0 };
             let law = Backstepping::<f32>::new(&motor, &gains, &ranges).expect("valid");
             let (speed, current) = (100.0 * speed, 10.0 * current);
             let reference = Reference {

@@ -15,8 +15,9 @@
 //!
 //! Erratum: (53) prints u2 = +kc2·tanh(s2/η2), which diverges.
 
+use super::super::Timing;
 use super::channel::{Channel, ChannelConfig, Start};
-use super::config::{ControlConfig, Law, Timing};
+use super::config::{Law, PaperConfig};
 use crate::config::ConfigError;
 use crate::math::Scalar;
 use crate::trajectory::Reference;
@@ -35,7 +36,7 @@ pub(super) struct Estimator<S: Scalar> {
 impl<S: Scalar> Estimator<S> {
     /// `speed_range` (rad/s) and `z2_range` (rad/s²) bound the mismatch that each channel remembers.
     pub fn new(
-        config: &ControlConfig,
+        config: &PaperConfig,
         timing: &Timing,
         (speed_range, z2_range): (f32, f32),
     ) -> Result<Self, ConfigError> {

@@ -1,0 +1,164 @@
+//! The simulated board's sensors: what converters and counters make of the truth.
+
+use crate::scenario::{Broken, finite, non_negative, positive, rule};
+use quasidrive::hal::{Codes, READS};
+use quasidrive::sense::{Calibration, Reads};
+use rand::SeedableRng;
+use rand::rngs::StdRng;
+use rand_distr::{Distribution, Normal};
+use serde::Deserialize;
+
+/// Codes of the converters: 12 bits.
+const CODES: f64 = 4096.0;
+
+/// `[sensors]`: what stands between the truth and the drive. Without the table sensors are exact.
+#[derive(Clone, Copy, Debug, Deserialize, PartialEq)]
+#[serde(deny_unknown_fields, default)]
+pub struct SensorsTable {
+    /// Counts of the encoder per turn, all four edges of its lines counted.
+    pub counts_per_turn: u32,
+    /// Which of a period's 16 reads of the encoder's counter count.
+    pub reads: ReadsName,
+    /// Misplacement of each of the encoder's edges (rms, in counts). Drawn once for a run.
+    pub edge_error: f64,
+    /// Whether the encoder is connected the wrong way round, which the drive does not know.
+    pub encoder_reversed: bool,
+    /// Resolution of the current's converter (A); 4096 of it are its range, half on either side of zero.
+    pub current_resolution: f64,
+    /// Noise of the current (A rms).
+    pub current_noise: f64,
+    /// Error of the current that the drive has not calibrated away (A).
+    pub current_offset: f64,
+    /// Resolution of the bus voltage's converter (V); 4096 of it are its range.
+    pub bus_voltage_resolution: f64,
+    /// Noise of the bus voltage (V rms).
+    pub bus_voltage_noise: f64,
+    /// Of all that is random here.
+    pub seed: u64,
+}
+
+impl Default for SensorsTable {
+    fn default() -> Self {
+        Self {
+            counts_per_turn: 4096,
+            reads: ReadsName::All,
+            edge_error: 0.0,
+            encoder_reversed: false,
+            current_resolution: 0.01,
+            current_noise: 0.005,
+            current_offset: 0.0,
+            bus_voltage_resolution: 0.0075,
+            bus_voltage_noise: 0.005,
+            seed: 1,
+        }
+    }
+}
+
+/// Which reads of the encoder's counter count.
+#[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq, Eq)]
+#[serde(rename_all = "kebab-case")]
+pub enum ReadsName {
+    /// All 16.
+    #[default]
+    All,
+    /// The last.
+    Last,
+}
+
+impl SensorsTable {
+    /// What the drive does not check of its calibration.
+    pub(crate) fn check(&self) -> Result<(), Broken> {
+        let resolution = self.current_resolution;
+        positive("sensors.current_resolution", resolution)?;
+        positive("sensors.bus_voltage_resolution", self.bus_voltage_resolution)?;
+        non_negative("sensors.current_noise", self.current_noise)?;
+        non_negative("sensors.bus_voltage_noise", self.bus_voltage_noise)?;
+        finite("sensors.current_offset", self.current_offset)?;
+        non_negative("sensors.edge_error", self.edge_error)?;
+        let placed = self.edge_error <= 0.2;
+        rule(placed, "sensors.edge_error", "must be at most 0.2 counts", self.edge_error)
+    }
+
+    /// What the drive is told of them.
+    pub fn calibration(&self) -> Calibration {
+        Calibration {
+            current_per_code: self.current_resolution as f32,
+            current_zero: (0.5 * CODES) as f32,
+            bus_voltage_per_code: self.bus_voltage_resolution as f32,
+            counts_per_turn: self.counts_per_turn as i32,
+            reads: match self.reads {
+                ReadsName::All => Reads::All,
+                ReadsName::Last => Reads::Last,
+            },
+        }
+    }
+}
+
+/// Sensors at work.
+#[derive(Clone, Debug)]
+pub struct Sensors {
+    table: SensorsTable,
+    random: StdRng,
+    current_noise: Normal<f64>,
+    bus_voltage_noise: Normal<f64>,
+    /// Misplacement of each edge (counts).
+    edges: Vec<f64>,
+    encoder: [u16; READS],
+}
+
+impl Sensors {
+    /// Sensors of a table that was checked, with the shaft at angle zero.
+    pub fn new(table: SensorsTable) -> Self {
+        let mut random = StdRng::seed_from_u64(table.seed);
+        let normal = |deviation: f64| {
+            #[expect(clippy::expect_used, reason = "checked: finite and not negative")]
+            Normal::new(0.0, deviation).expect("a deviation")
+        };
+        let placing = normal(table.edge_error);
+        // Beyond half a count neighbouring edges would change places.
+        let edges = (0..table.counts_per_turn)
+            .map(|_| placing.sample(&mut random).clamp(-0.45, 0.45))
+            .collect();
+        Self {
+            table,
+            random,
+            current_noise: normal(table.current_noise),
+            bus_voltage_noise: normal(table.bus_voltage_noise),
+            edges,
+            encoder: [0; READS],
+        }
+    }
+
+    /// Reads the encoder's counter for the `read`th time in a period, at an angle (rad).
+    #[inline]
+    pub fn read_encoder(&mut self, read: usize, angle: f64) {
+        let turned = if self.table.encoder_reversed { -angle } else { angle };
+        let position = turned / std::f64::consts::TAU * f64::from(self.table.counts_per_turn);
+        let below = position.floor();
+        let edge =
+            |count: f64| count + self.edges[count.rem_euclid(self.edges.len() as f64) as usize];
+        let count = if position < edge(below) {
+            below - 1.0
+        } else if position >= edge(below + 1.0) {
+            below + 1.0
+        } else {
+            below
+        };
+        self.encoder[read] = count as i64 as u16;
+    }
+
+    /// A period's sample, of the current (A) and the bus voltage (V) at its end and the counter's reads.
+    pub fn sample(&mut self, current: f64, bus_voltage: f64) -> Codes {
+        let SensorsTable { current_resolution, current_offset, bus_voltage_resolution, .. } =
+            self.table;
+        let current = current + current_offset + self.current_noise.sample(&mut self.random);
+        let bus_voltage = bus_voltage + self.bus_voltage_noise.sample(&mut self.random);
+        // Converters saturate at the ends of their range.
+        let code = |value: f64| value.round().clamp(0.0, CODES - 1.0) as u16;
+        Codes {
+            current: code(current / current_resolution + 0.5 * CODES),
+            bus_voltage: code(bus_voltage / bus_voltage_resolution),
+            encoder: self.encoder,
+        }
+    }
+}

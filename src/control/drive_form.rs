@@ -1,0 +1,426 @@
+//! The drive form of BS-QSMDO and BS-QISMC: the same backstepping and the same quasi-sliding injections, for what a drive has.
+//!
+//! A drive has an encoder instead of a speed, a voltage that acts a period late, limits, and parameters that are wrong by
+//! a tenth. The paper's form asks more of such sensors than they give. Here
+//!
+//! - the angle observer and the disturbance observer are one third-order observer on (θ, ω, d), whose poles are placed together;
+//! - what is controlled is the state one period ahead, when the voltage that is computed now begins to act;
+//! - the poles of z1 and z2 are free, and z2 is closed on the current itself;
+//! - the wanted current is limited, and both observers see the voltage and the current that there really were, so that
+//!   nothing winds up; nothing else integrates.
+//!
+//! ```text
+//! ā = a2·(i + i₋)/2 − a1·ω̂ + d̂       angle observer on ā; its correction of ω̂ is Δω
+//! σ1 += Δω                           d̂ = k1·tanh(σ1/ε1)        since (ω̂ − x̂1) moves by the corrections alone: both carry d̂
+//! σ2 += i − î                        v̂ = V·tanh(σ2/ε2)         what the armature's model lacks (V)
+//! î⁺ = Ad·i + Bd·(u − Kb·ω̂ + v̂)      ω⁺ = ω̂ + h·(a2·(i + î⁺)/2 − a1·ω̂ + d̂)
+//! n  = (ω̇_d − d̂ + a1·ω⁺)/a2          i* = limited(n − (c/a2)·(ω⁺ − ω_d))            the virtual control, at t + h
+//! t  = i* + e^(−wi·h)·(î⁺ − i*) [− h·c·(î⁺ − n) + (h/a2)·ω̈_d where i* is not limited]  the current wanted at t + 2h
+//! w  = (t − Ad·î⁺)/Bd + Kb·ω⁺ − v̂    u⁺ = u + (1 − e^(−wf·h))·(w − u)
+//! ```
+//!
+//! with Ad = e^(−h·Ra/La), Bd = (1 − Ad)/Ra, and u the voltage that acts from the sample on. BS-QISMC remembers z1 in place of
+//! ω̂: a jump of the reference enters its σ1; with a smooth one the two are the same.
+
+use super::injection::Injection;
+use super::{Setting, Signals, Timing};
+use crate::config::{ConfigError, positive, require};
+use crate::estimate::AngleObserver;
+use crate::math::{Scalar, exp_m1, sin, sqrt};
+use crate::motor::{Coefficients, MotorParameters};
+use crate::sense::{Calibration, Measured};
+use crate::trajectory::Reference;
+use serde::{Deserialize, Serialize};
+
+/// What σ1 remembers.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Memory {
+    /// ω̂ (BS-QSMDO).
+    #[default]
+    Observer,
+    /// z1 (BS-QISMC).
+    Integral,
+}
+
+/// What the drive form is built from. [`DriveFormConfig::new`] derives all from one bandwidth; experts may set each.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct DriveFormConfig {
+    /// What σ1 remembers.
+    pub memory: Memory,
+    /// Bandwidth wo of the observer of angle, speed and disturbance (rad/s). Positive, at most 0.13 of the sampling rate.
+    pub observer_bandwidth: f32,
+    /// Convergence rate c of z1 (1/s). Positive, at most 0.7·wo: faster, a wrong inertia and resistance make it unstable.
+    pub speed_bandwidth: f32,
+    /// Convergence rate wi of the current (1/s). Positive.
+    pub current_bandwidth: f32,
+    /// Bandwidth L2 of the observer of the armature's unmodelled voltage (1/s). Positive.
+    pub voltage_bandwidth: f32,
+    /// Bandwidth wf of the filter ahead of the bridge (1/s). Positive.
+    pub output_bandwidth: f32,
+    /// Largest load torque that can be held, k1·J (N·m). Positive; 1.5 to 2 times the largest load that is expected.
+    pub load_torque: f32,
+    /// Largest voltage that the armature's model may lack (V): |ΔKb|·ω + |ΔRa|·i, brush drop and dead time. Positive.
+    pub voltage_reserve: f32,
+}
+
+impl DriveFormConfig {
+    /// All from the observer's bandwidth (rad/s), with the ratios that a search over wrong parameters (J ×0.5–2, Ra ×0.7–1.5,
+    /// Kb ×0.85–1.15, alone and together) found best.
+    ///
+    /// After a load step ΔT the speed dips by about 1.9·ΔT/(J·wo) and is back within 10 % of that after 9.5/wo.
+    pub fn new(bandwidth: f32, load_torque: f32, voltage_reserve: f32) -> Self {
+        Self {
+            memory: Memory::Observer,
+            observer_bandwidth: bandwidth,
+            speed_bandwidth: 0.6 * bandwidth,
+            current_bandwidth: 4.0 * bandwidth,
+            voltage_bandwidth: 0.7 * bandwidth,
+            output_bandwidth: 6.0 * bandwidth,
+            load_torque,
+            voltage_reserve,
+        }
+    }
+
+    /// From motor and sensors alone: the bandwidth for a voltage ripple of a thousandth of `bus_voltage` (V), authority over
+    /// the torque at the current `current` (A), and a tenth of the bus voltage in reserve.
+    pub fn default_for(
+        motor: &MotorParameters,
+        timing: &Timing,
+        calibration: &Calibration,
+        bus_voltage: f32,
+        current: f32,
+    ) -> Self {
+        let bandwidth = bandwidth_for_ripple(motor, timing, calibration, 1e-3 * bus_voltage);
+        Self::new(bandwidth, motor.back_emf_constant * current, 0.1 * bus_voltage)
+    }
+
+    /// The same for BS-QISMC.
+    pub fn with_memory(self, memory: Memory) -> Self {
+        Self { memory, ..self }
+    }
+}
+
+/// The observer's bandwidth (rad/s) at which the encoder's counts make a voltage ripple of about `ripple` (V rms), where all of a
+/// period's reads count; within 0.03 and 0.1 of the sampling rate.
+///
+/// Ripple ≈ 0.4·(J·h/(Kb·Bd))·q·wo³·(wo·h): fitted to simulations of six motors of 10 W to 250 W at 10 to 40 kHz, to within a
+/// third; an encoder whose edges are misplaced by a twentieth of a count makes three times that.
+pub fn bandwidth_for_ripple(
+    motor: &MotorParameters,
+    timing: &Timing,
+    calibration: &Calibration,
+    ripple: f32,
+) -> f32 {
+    let h = timing.period();
+    let held = -exp_m1(-h * motor.resistance / motor.inductance) / motor.resistance;
+    let count = calibration.count().abs();
+    let fourth = ripple * motor.back_emf_constant * held / (0.4 * motor.inertia * h * h * count);
+    sqrt(sqrt(fourth)).clamp(0.03 / h, 0.1 / h)
+}
+
+/// The drive form of a speed controller.
+#[derive(Clone, Debug)]
+#[repr(C)] // What every step loads comes first, in reach of short loads.
+pub(crate) struct DriveForm<S: Scalar> {
+    last: Signals<S>,
+    observer: AngleObserver<S>,
+    /// d̂ (rad/s²).
+    disturbance: S,
+    /// σ1 (rad/s).
+    speed_mismatch: S,
+    /// σ2 (A).
+    current_mismatch: S,
+    /// The current at the last sample (A).
+    current: S,
+    /// The current predicted for the next one (A).
+    predicted_current: S,
+    /// The reference speed predicted for the next sample (rad/s).
+    predicted_reference: S,
+    /// Steps in a row that the disturbance was at the end of its authority.
+    exhausted: u32,
+    /// How much of the reference's jumps enters σ1: nothing (BS-QSMDO) or all (BS-QISMC).
+    share: S::Gain,
+    half_a2: S::Gain,
+    minus_a1: S::Gain,
+    period: S::Gain,
+    half_period_squared: S::Gain,
+    speed_limit: S,
+    k1: S::Gain,
+    current_limit: S,
+    reserve: S::Gain,
+    keep: S::Gain,
+    held: S::Gain,
+    back_emf: S::Gain,
+    per_a2: S::Gain,
+    a1_per_a2: S::Gain,
+    c_per_a2: S::Gain,
+    command_limit: S,
+    decay: S::Gain,
+    c_period: S::Gain,
+    period_per_a2: S::Gain,
+    per_held: S::Gain,
+    keep_per_held: S::Gain,
+    output_share: S::Gain,
+    a2: S::Gain,
+    disturbance_injection: Injection<S>,
+    voltage_injection: Injection<S>,
+}
+
+/// The mismatch at which an injection counts as exhausted, in boundary layers: tanh is 0.995 there.
+const EXHAUSTED: f32 = 3.0;
+
+impl<S: Scalar> DriveForm<S> {
+    pub fn new(config: &DriveFormConfig, setting: &Setting) -> Result<Self, ConfigError> {
+        let &Setting { motor, timing, age, ranges } = setting;
+        let &Coefficients { a1, a2, a3, a4, inductance, inertia } = motor;
+        let &DriveFormConfig {
+            memory,
+            observer_bandwidth: wo,
+            speed_bandwidth: c,
+            current_bandwidth: wi,
+            voltage_bandwidth: l2,
+            output_bandwidth: wf,
+            load_torque,
+            voltage_reserve,
+        } = config;
+        let h = timing.period();
+        let rate = timing.rate;
+        require(timing.delay, "timing.delay", "must be there for the drive form", 0.0)?;
+        for (field, bandwidth, share, rule) in [
+            ("control.observer_bandwidth", wo, 0.13, "must be at most 0.13 of the sampling rate"),
+            ("control.speed_bandwidth", c, 0.091, "must be at most 0.091 of the sampling rate"),
+            ("control.current_bandwidth", wi, 1.0, "must be at most the sampling rate"),
+            ("control.voltage_bandwidth", l2, 0.2, "must be at most a fifth of the sampling rate"),
+            ("control.output_bandwidth", wf, 10.0, "must be at most 10 times the sampling rate"),
+        ] {
+            positive(field, bandwidth)?;
+            require(bandwidth <= share * rate * (1.0 + f32::EPSILON), field, rule, bandwidth)?;
+        }
+        require(
+            c <= 0.7 * wo * (1.0 + f32::EPSILON),
+            "control.speed_bandwidth",
+            "must be at most 0.7 of control.observer_bandwidth",
+            c,
+        )?;
+        positive("control.load_torque", load_torque)?;
+        positive("control.voltage_reserve", voltage_reserve)?;
+
+        let [g1, g2, g3] = observer_gains(wo, h);
+        let observer = AngleObserver::new([g1, g2], g3, h, age);
+        let k1 = load_torque / inertia;
+        // Where the injection is steepest it is the linear observer's: k1/ε1 = g3/g2, with the gains for the reads' age.
+        let epsilon1 = k1 * (g2 + age * g3) / g3;
+        let resistance = a4 * inductance;
+        let back_emf = a3 * inductance;
+        let keep = 1.0 + exp_m1(-a4 * h);
+        let held = -exp_m1(-a4 * h) / resistance;
+        let epsilon2 = voltage_reserve * held / -exp_m1(-l2 * h);
+        let limit = |layer: f32| S::from_f32(EXHAUSTED * layer);
+        let largest = a2 * ranges.current + a1 * ranges.speed + k1;
+        require(
+            largest <= 1e9,
+            "control.load_torque",
+            "must keep accelerations below 1e9 rad/s²",
+            load_torque,
+        )?;
+        Ok(Self {
+            last: Signals::NONE,
+            observer,
+            disturbance: S::ZERO,
+            speed_mismatch: S::ZERO,
+            current_mismatch: S::ZERO,
+            current: S::ZERO,
+            predicted_current: S::ZERO,
+            predicted_reference: S::ZERO,
+            exhausted: 0,
+            share: S::gain(match memory {
+                Memory::Observer => 0.0,
+                Memory::Integral => 1.0,
+            }),
+            half_a2: S::gain(0.5 * a2),
+            minus_a1: S::gain(-a1),
+            period: S::gain(h),
+            half_period_squared: S::gain(0.5 * h * h),
+            speed_limit: limit(epsilon1),
+            k1: S::gain(k1),
+            current_limit: limit(epsilon2),
+            reserve: S::gain(voltage_reserve),
+            keep: S::gain(keep),
+            held: S::gain(held),
+            back_emf: S::gain(back_emf),
+            per_a2: S::gain(1.0 / a2),
+            a1_per_a2: S::gain(a1 / a2),
+            c_per_a2: S::gain(c / a2),
+            command_limit: S::from_f32(ranges.current_command),
+            decay: S::gain(1.0 + exp_m1(-wi * h)),
+            c_period: S::gain(c * h),
+            period_per_a2: S::gain(h / a2),
+            per_held: S::gain(1.0 / held),
+            keep_per_held: S::gain(keep / held),
+            output_share: S::gain(-exp_m1(-wf * h)),
+            a2: S::gain(a2),
+            disturbance_injection: Injection::new(0.0, epsilon1),
+            voltage_injection: Injection::new(0.0, epsilon2),
+        })
+    }
+
+    /// Runs the observer of angle, speed and disturbance.
+    #[inline]
+    fn observe(&mut self, measured: &Measured<S>, jump: S) {
+        let both = self.current + measured.current;
+        let acceleration = S::combine([(self.half_a2, both), (self.minus_a1, self.observer.speed)])
+            + self.disturbance;
+        let correction = self.observer.step(measured.advance, acceleration);
+        let mismatch = self.speed_mismatch + correction - S::combine([(self.share, jump)]);
+        self.speed_mismatch = mismatch.limited(self.speed_limit);
+        let exhausted = self.speed_mismatch.abs() >= self.speed_limit;
+        self.exhausted = if exhausted { self.exhausted.saturating_add(1) } else { 0 };
+        let injection = self.disturbance_injection.value(self.speed_mismatch);
+        self.disturbance = S::combine([(self.k1, injection)]);
+        self.current = measured.current;
+    }
+
+    /// With the bridge off the observer goes on, so that a start finds speed and load known.
+    pub fn follow(&mut self, measured: &Measured<S>) -> S {
+        self.observe(measured, S::ZERO);
+        self.exhausted = 0;
+        self.observer.speed
+    }
+
+    pub fn start(&mut self, measured: &Measured<S>, reference: &Reference<S>) {
+        self.current_mismatch = S::ZERO;
+        self.current = measured.current;
+        self.predicted_current = measured.current;
+        self.predicted_reference = reference.speed;
+        self.exhausted = 0;
+    }
+
+    // Not inlined, for its instructions to be counted apart from its caller's.
+    #[inline(never)]
+    pub fn step(&mut self, measured: &Measured<S>, reference: &Reference<S>, acting: S) -> S {
+        self.observe(measured, reference.speed - self.predicted_reference);
+        let current = measured.current;
+        let speed = self.observer.speed;
+        let disturbance = self.disturbance;
+
+        // What the armature's model lacks.
+        let mismatch = self.current_mismatch + (current - self.predicted_current);
+        self.current_mismatch = mismatch.limited(self.current_limit);
+        let lacking =
+            S::combine([(self.reserve, self.voltage_injection.value(self.current_mismatch))]);
+
+        // The state at the next sample.
+        let inner = acting - S::combine([(self.back_emf, speed)]) + lacking;
+        let current_ahead = S::combine([(self.keep, current), (self.held, inner)]);
+        let acceleration =
+            S::combine([(self.half_a2, current + current_ahead), (self.minus_a1, speed)])
+                + disturbance;
+        let speed_ahead = speed + S::combine([(self.period, acceleration)]);
+        let reference_ahead = reference.speed
+            + S::combine([
+                (self.period, reference.acceleration),
+                (self.half_period_squared, reference.jerk),
+            ]);
+        let acceleration_ahead =
+            reference.acceleration + S::combine([(self.period, reference.jerk)]);
+
+        // The virtual control and the current that it wants a period later.
+        let needed = S::combine([
+            (self.per_a2, acceleration_ahead - disturbance),
+            (self.a1_per_a2, speed_ahead),
+        ]);
+        let wanted = needed - S::combine([(self.c_per_a2, speed_ahead - reference_ahead)]);
+        let command = wanted.limited(self.command_limit);
+        let moving = S::combine([
+            (self.period_per_a2, reference.jerk),
+            (self.c_period, needed - current_ahead),
+        ]);
+        let target = command
+            + S::combine([(self.decay, current_ahead - command)])
+            + if command == wanted { moving } else { S::ZERO };
+        let voltage = S::combine([(self.per_held, target), (self.back_emf, speed_ahead)])
+            - S::combine([(self.keep_per_held, current_ahead)])
+            - lacking;
+        let voltage = acting + S::combine([(self.output_share, voltage - acting)]);
+
+        self.predicted_current = current_ahead;
+        self.predicted_reference = reference_ahead;
+        self.last = Signals {
+            speed,
+            z1: speed - reference.speed,
+            z2: S::combine([(self.a2, current_ahead - command)]),
+            disturbance,
+            voltage,
+        };
+        voltage
+    }
+
+    pub fn signals(&self) -> &Signals<S> {
+        &self.last
+    }
+
+    pub fn sliding_variables(&self) -> [S; 2] {
+        [self.speed_mismatch, self.current_mismatch]
+    }
+
+    /// How many steps in a row the disturbance has been at the end of its authority.
+    pub fn exhausted(&self) -> u32 {
+        self.exhausted
+    }
+}
+
+/// Gains of angle (1), speed (1/s) and acceleration (1/s²) that place the observer's poles at those of
+/// s³ + 2.7·wo·s² + 2.7·wo²·s + wo³, taken to z = e^(s·h), for reads of no age.
+fn observer_gains(wo: f32, h: f32) -> [f32; 3] {
+    // Roots −wo and (−0.85 ± 0.526783i)·wo; each difference from 1 as itself, since they are small.
+    let x = wo * h;
+    let real = -exp_m1(-x);
+    let pair = -exp_m1(-0.85 * x);
+    let half_angle = sin(0.5 * 0.526_783 * x);
+    // m·(1 − cos φ)
+    let turned = (1.0 - pair) * 2.0 * half_angle * half_angle;
+    let g1 = -exp_m1(-2.7 * x);
+    let g3 = real * (pair * pair + 2.0 * turned) / (h * h);
+    let g2 = (real + 2.0 * pair + 2.0 * turned - g1 - 0.5 * h * h * g3) / h;
+    [g1, g2, g3]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gains_place_the_observers_poles() {
+        // The observer's matrix, corrected by its own prediction of the angle, must have the characteristic polynomial.
+        for (wo, h, age) in
+            [(1170.0_f64, 5e-5_f64, 0.0), (500.0, 1e-4, 0.0), (2000.0, 5e-5, 2.3e-5)]
+        {
+            let [g1, g2, g3] = observer_gains(wo as f32, h as f32).map(f64::from);
+            let gains = [g1 + age * (g2 + 0.5 * age * g3), g2 + age * g3, g3];
+            let model = [[1.0, h, 0.5 * h * h], [0.0, 1.0, h], [0.0, 0.0, 1.0]];
+            let seen = [1.0, -age, 0.5 * age * age];
+            // (I − G·C)·F
+            let closed: [[f64; 3]; 3] = core::array::from_fn(|row| {
+                core::array::from_fn(|column| {
+                    let passed: f64 = (0..3).map(|k| seen[k] * model[k][column]).sum();
+                    model[row][column] - gains[row] * passed
+                })
+            });
+            let determinant = |z: f64| {
+                let m = |row: usize, column: usize| {
+                    closed[row][column] - if row == column { z } else { 0.0 }
+                };
+                m(0, 0) * (m(1, 1) * m(2, 2) - m(1, 2) * m(2, 1))
+                    - m(0, 1) * (m(1, 0) * m(2, 2) - m(1, 2) * m(2, 0))
+                    + m(0, 2) * (m(1, 0) * m(2, 1) - m(1, 1) * m(2, 0))
+            };
+            let (radius, angle) = ((-0.85 * wo * h).exp(), 0.526783 * wo * h);
+            for z in [0.3, 0.8, 0.95, 1.0] {
+                let wanted = ((-wo * h).exp() - z)
+                    * (radius * radius - 2.0 * radius * angle.cos() * z + z * z);
+                let error = (determinant(z) - wanted).abs();
+                assert!(error < 1e-6, "wo {wo}, z {z}: {} is not {wanted}", determinant(z));
+            }
+        }
+    }
+}
