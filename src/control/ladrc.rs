@@ -28,8 +28,8 @@ use serde::{Deserialize, Serialize};
 pub struct LadrcConfig {
     /// Bandwidth wc of the speed loop (rad/s). Positive, and at most 0.6 of the current loop's.
     pub control_bandwidth: f32,
-    /// Bandwidth wo of the extended state observer, its double pole (rad/s). Positive, and at most half the sampling rate and
-    /// 0.6/(the speed estimate's lag).
+    /// Bandwidth wo of the extended state observer, its double pole (rad/s). Positive, and at most half the sampling rate
+    /// and 0.6/(the speed estimate's lag).
     pub observer_bandwidth: f32,
     /// Bandwidth of the current loop (rad/s); as [`PiConfig::current_bandwidth`](super::pi::PiConfig::current_bandwidth).
     pub current_bandwidth: f32,
@@ -38,8 +38,8 @@ pub struct LadrcConfig {
 }
 
 impl LadrcConfig {
-    /// From the bandwidth of the speed loop (rad/s) alone: an observer four times as fast, Gao's rule being three to five, and a
-    /// current loop by the magnitude optimum.
+    /// From the bandwidth of the speed loop (rad/s) alone: an observer four times as fast (three to five times is
+    /// usual) and a current loop by the magnitude optimum.
     pub fn by_bandwidth(control_bandwidth: f32, timing: &Timing, speed: SpeedSource) -> Self {
         Self {
             control_bandwidth,

@@ -11,8 +11,8 @@
 //!
 //! *Tuning by the book.* The magnitude optimum puts wc to 1/(2·TΣ), where TΣ = 1.5·h is the delay of a period and half a
 //! period of hold. The symmetrical optimum of factor a puts kp·a2 to 1/(a·TΣ) and the integral time to a²·TΣ, where TΣ is
-//! the lag of current loop and speed estimate: w = 1/(a^1.5·TΣ), ζ = √a/2. (W. Leonhard, *Control of Electrical Drives*, 3rd
-//! ed., Springer 2001; J. W. Umland, M. Safiuddin, *IEEE Trans. Ind. Appl.* 26(3), 1990, 489–497.)
+//! the lag of current loop and speed estimate: w = 1/(a^1.5·TΣ), ζ = √a/2. (W. Leonhard, *Control of Electrical Drives*,
+//! 3rd ed., Springer 2001; J. W. Umland, M. Safiuddin, *IEEE Trans. Ind. Appl.* 26(3), 1990, 489–497.)
 //!
 //! *Windup.* What the limits take is taken back from the integrators (K. J. Åström, L. Rundqwist, *Proc. ACC* 1989,
 //! 1693–1698). For the current this is total: a controller whose zero cancels the armature's pole and that integrates
@@ -20,7 +20,7 @@
 //! La/Ra. The speed's integrator gives back at most what it would gather: it rests at a limit, and stays what it is in
 //! the steady state, the current that holds the speed.
 //!
-//! *Disturbance observer* (K. Ohishi, K. Ohnishi, K. Miyachi, *Proc. IPEC Tokyo* 1983, 1209–1216):
+//! *Disturbance observer* (K. Ohishi, K. Ohnishi, K. Miyachi, *Proc. IPEC Tokyo* 1983, vol. 2, from p. 1209):
 //! d̂' = L·(ω̇ + a1·ω − a2·i − d̂) without a derivative, as d̂ = L·(ω − x), x' = a2·i − a1·ω + d̂. It sees the measured
 //! current, so that no limit winds it up, and the poles of speed and observer are those of each by itself:
 //! (s + L)·(s² + 2ζ·w·s + w²).
@@ -39,21 +39,21 @@ pub struct PiConfig {
     /// Bandwidth wc of the current loop (rad/s). Positive, and at most 0.75/TΣ, where TΣ is 1.5 periods, or half a
     /// period if the voltage takes effect at once.
     pub current_bandwidth: f32,
-    /// Natural frequency w of the speed loop (rad/s). Positive; with T the lag of the current loop and the speed estimate, w·T
-    /// may be 0.5 at most, and 2ζ·w·T 0.8.
+    /// Natural frequency w of the speed loop (rad/s). Positive; with T the lag of the current loop and the speed
+    /// estimate, w·T may be 0.5 at most, and 2ζ·w·T 0.8.
     pub speed_bandwidth: f32,
     /// Damping ζ of the speed loop. From 0.5 to 5.
     pub speed_damping: f32,
-    /// Bandwidth L of the disturbance observer (rad/s), if there is to be one. Positive, and at most half the sampling rate and
-    /// 0.6/(the speed estimate's lag).
+    /// Bandwidth L of the disturbance observer (rad/s), if there is to be one. Positive, and at most half the sampling
+    /// rate and 0.6/(the speed estimate's lag).
     pub disturbance: Option<f32>,
     /// Where the speed comes from.
     pub speed: SpeedSource,
 }
 
 impl PiConfig {
-    /// The current loop by the magnitude optimum, the speed loop by the symmetrical optimum of the standard factor 2. Without
-    /// disturbance observer.
+    /// The current loop by the magnitude optimum, the speed loop by the symmetrical optimum of the standard factor 2.
+    /// Without disturbance observer.
     pub fn magnitude_and_symmetrical_optimum(timing: &Timing, speed: SpeedSource) -> Self {
         let current_bandwidth = magnitude_optimum(timing);
         let lag = 1.0 / current_bandwidth + lag(&speed, timing.period(), 0.0);
@@ -444,9 +444,10 @@ pub(super) mod rig {
             self.state[4] = -torque / self.inertia;
         }
 
-        /// The motor is found turning (rad/s).
+        /// The motor is found turning (rad/s), without current.
         pub fn turn(&mut self, speed: f64) {
             self.state[1] = speed;
+            self.state[2] = 0.0;
         }
 
         pub fn speed(&self) -> f64 {
@@ -455,10 +456,6 @@ pub(super) mod rig {
 
         pub fn current(&self) -> f64 {
             self.state[2]
-        }
-
-        pub fn acting(&self) -> f64 {
-            self.state[3]
         }
 
         pub fn measured(&self) -> Measured<f32> {
@@ -581,7 +578,7 @@ mod tests {
         // 1/(2·75 µs); 1/(2^1.5·(150 µs + 2/4000 s)).
         assert!((current_bandwidth - 6666.667).abs() < 0.01, "{current_bandwidth}");
         assert!((speed_bandwidth - 543.928).abs() < 0.01, "{speed_bandwidth}");
-        assert!((speed_damping - 0.707_107).abs() < 1e-6, "{speed_damping}");
+        assert!((speed_damping * speed_damping - 0.5).abs() < 1e-6, "{speed_damping}");
     }
 
     #[test]

@@ -57,7 +57,7 @@ impl Cross {
     pub fn firmware(&self, board: &str) -> Result<PathBuf> {
         self.cargo()
             .args(&["build", "--target", TARGET, "--profile", "firmware"])
-            .args(&["--bin", board, "--features", board])
+            .args(&["--package", "quasidrive", "--bin", board, "--features", board])
             // Without it all but errors are compiled out.
             .env("DEFMT_LOG", "info")
             .run()?;
