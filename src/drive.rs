@@ -5,7 +5,7 @@
 //! sample holds, it returns a finite duty within the limit, or [`BridgeCommand::Off`].
 
 use crate::config::{ConfigError, positive, require};
-use crate::control::{ControlConfig, Controller, Ranges, Setting, Signals, Timing};
+use crate::control::{ControlConfig, Controller, Decision, Ranges, Setting, Signals, Timing};
 use crate::hal::{Board, BridgeCommand, Sample};
 use crate::math::Scalar;
 use crate::motor::MotorParameters;
@@ -147,8 +147,10 @@ pub struct Telemetry<S> {
 #[repr(C)] // What every step loads comes first, in reach of short loads.
 pub struct Drive<S: Scalar> {
     mode: Mode,
-    /// Whether the controller has started since the drive was armed.
-    started: bool,
+    /// Whether the drive is armed and its controller has started.
+    driving: bool,
+    /// Whether there was a sample.
+    seen: bool,
     /// Whether there was a driven period.
     driven: bool,
     speed_limit: S,
@@ -189,7 +191,8 @@ impl<S: Scalar> Drive<S> {
         };
         Ok(Self {
             mode: Mode::Off,
-            started: false,
+            driving: false,
+            seen: false,
             driven: false,
             controller: Controller::new(&config.control, &setting)?,
             sensing: Sensing::new(&config.sensors, limits.speed, timing.rate)?,
@@ -215,7 +218,6 @@ impl<S: Scalar> Drive<S> {
             Mode::Faulted(fault) => Err(Refusal::Faulted(fault)),
             Mode::Running => Ok(()),
             Mode::Off => {
-                self.started = false;
                 self.mode = Mode::Running;
                 Ok(())
             }
@@ -226,6 +228,7 @@ impl<S: Scalar> Drive<S> {
     pub fn disarm(&mut self) {
         if self.mode == Mode::Running {
             self.mode = Mode::Off;
+            self.driving = false;
         }
     }
 
@@ -257,39 +260,54 @@ impl<S: Scalar> Drive<S> {
     // Not inlined, for its instructions to be counted apart from its caller's.
     #[inline(never)]
     pub fn step(&mut self, sample: &Sample<S>) -> BridgeCommand<S> {
-        let Some(measured) = self.sensing.read(sample) else {
+        let Some(mut measured) = self.sensing.read(sample) else {
             return self.refuse(Fault::BadSample);
         };
+        if !self.driving {
+            let Some(first) = self.start(measured) else { return BridgeCommand::Off };
+            measured = first;
+        }
         if !self.limits_hold(&measured) {
-            return self.refuse(self.fault_in(&measured));
+            return self.refuse(self.fault_in(measured));
         }
-        if self.mode != Mode::Running {
-            self.idle_speed = self.controller.follow(&measured);
-            return BridgeCommand::Off;
+        let reference = self.shaper.advance();
+        let Decision { voltage, speed, exhausted } =
+            self.controller.step(&measured, reference, self.voltage);
+        // Not the other way round: a NaN is no speed within the limit.
+        let plausible = speed.abs() <= self.speed_limit;
+        if !plausible || exhausted > self.authority_steps {
+            return self.refuse(match plausible {
+                true => Fault::BeyondAuthority,
+                false if speed.is_finite() => Fault::Overspeed,
+                false => Fault::BadSample,
+            });
         }
-        if !self.started {
-            self.start(&measured);
-        }
-        let wanted = self.controller.step(&measured, self.shaper.advance(), self.voltage);
-        if self.controller.signals().speed.abs() > self.speed_limit {
-            return self.refuse(Fault::Overspeed);
-        }
-        if self.controller.exhausted() > self.authority_steps {
-            return self.refuse(Fault::BeyondAuthority);
-        }
-        let duty = (wanted / measured.bus_voltage).limited(self.duty_limit);
+        let duty = (voltage / measured.bus_voltage).limited(self.duty_limit);
         self.voltage = duty * measured.bus_voltage;
-        self.driven = true;
         BridgeCommand::Duty(duty)
     }
 
-    /// Starts from what was followed with the bridge off: without a jump of reference, voltage or estimates.
+    /// Follows the motor with the bridge off or, once armed, starts from what was followed: without a jump of reference,
+    /// voltage or estimates. Gives the sample to drive on if it started.
     #[cold]
-    fn start(&mut self, measured: &Measured<S>) {
+    fn start(&mut self, mut measured: Measured<S>) -> Option<Measured<S>> {
+        // The first difference of counts is one to nothing.
+        if !self.seen && measured.advance.is_finite() {
+            measured.advance = S::ZERO;
+        }
+        self.seen = true;
+        if self.mode != Mode::Running {
+            if self.limits_hold(&measured) && measured.speed.abs() <= self.speed_limit {
+                self.idle_speed = self.controller.follow(&measured);
+            }
+            return None;
+        }
         self.shaper.reset(self.idle_speed);
         self.voltage = S::combine([(self.back_emf, self.idle_speed)]);
-        self.controller.start(measured, self.shaper.clone().advance());
-        self.started = true;
+        self.controller.start(&measured, self.shaper.clone().advance());
+        self.driving = true;
+        self.driven = true;
+        Some(measured)
     }
 
     /// Outputs off; while running, for a fault.
@@ -297,6 +315,7 @@ impl<S: Scalar> Drive<S> {
     fn refuse(&mut self, fault: Fault) -> BridgeCommand<S> {
         if self.mode == Mode::Running {
             self.mode = Mode::Faulted(fault);
+            self.driving = false;
         }
         BridgeCommand::Off
     }
@@ -304,8 +323,7 @@ impl<S: Scalar> Drive<S> {
     /// Whether a sample is within the limits.
     #[inline]
     fn limits_hold(&self, measured: &Measured<S>) -> bool {
-        measured.speed.abs() <= self.speed_limit
-            && measured.advance.abs() <= self.advance_limit
+        measured.advance.abs() <= self.advance_limit
             && measured.current.abs() <= self.current_limit
             && measured.bus_voltage >= self.bus_min
             && measured.bus_voltage <= self.bus_max
@@ -313,15 +331,16 @@ impl<S: Scalar> Drive<S> {
 
     /// What is wrong with a sample that is not within the limits.
     #[cold]
-    fn fault_in(&self, measured: &Measured<S>) -> Fault {
-        if measured.current.abs() > self.current_limit {
+    fn fault_in(&self, measured: Measured<S>) -> Fault {
+        let Measured { advance, current, bus_voltage, .. } = measured;
+        if ![advance, current, bus_voltage].iter().all(|value| value.is_finite()) {
+            Fault::BadSample
+        } else if current.abs() > self.current_limit {
             Fault::Overcurrent
-        } else if measured.bus_voltage < self.bus_min {
+        } else if bus_voltage < self.bus_min {
             Fault::BusUndervoltage
-        } else if measured.bus_voltage > self.bus_max {
+        } else if bus_voltage > self.bus_max {
             Fault::BusOvervoltage
-        } else if measured.speed.abs() > self.speed_limit {
-            Fault::Overspeed
         } else {
             Fault::EncoderJump
         }

@@ -90,8 +90,8 @@ pub struct Sensing<S: Scalar> {
 
 #[derive(Clone, Debug)]
 struct Encoder<S: Scalar> {
-    /// Sum of the last sample's reads that count; none at first.
-    before: Option<u16>,
+    /// Sum of the last sample's reads that count.
+    before: u16,
     reads: Reads,
     /// Angle per unit of that sum (rad).
     angle: S::Gain,
@@ -137,7 +137,7 @@ impl<S: Scalar> Sensing<S> {
         };
         Ok(Self {
             encoder: Some(Encoder {
-                before: None,
+                before: 0,
                 reads: calibration.reads,
                 angle: S::gain(calibration.count() / reads),
             }),
@@ -147,22 +147,22 @@ impl<S: Scalar> Sensing<S> {
         })
     }
 
-    /// A sample in SI units; nothing for one of the other kind, or with a NaN or an infinity in it.
+    /// A sample in SI units; nothing for one of the other kind. The advance of the first sample means nothing.
     #[inline]
     pub fn read(&mut self, sample: &Sample<S>) -> Option<Measured<S>> {
         match (sample, &mut self.encoder) {
-            (Sample::Codes(codes), Some(encoder)) => Some(Measured {
-                advance: encoder.advance(codes),
-                speed: S::ZERO,
-                current: S::combine([(
-                    self.current,
-                    S::from_code(codes.current) - self.current_zero,
-                )]),
-                bus_voltage: S::combine([(self.bus_voltage, S::from_code(codes.bus_voltage))]),
-            }),
+            (Sample::Codes(codes), Some(encoder)) => {
+                let current = S::from_code(codes.current) - self.current_zero;
+                let bus_voltage = S::from_code(codes.bus_voltage);
+                Some(Measured {
+                    advance: encoder.advance(codes),
+                    speed: S::ZERO,
+                    current: S::combine([(self.current, current)]),
+                    bus_voltage: S::combine([(self.bus_voltage, bus_voltage)]),
+                })
+            }
             (&Sample::Exact(Exact { speed, advance, current, bus_voltage }), None) => {
-                let finite = [speed, advance, current, bus_voltage].iter().all(|x| x.is_finite());
-                finite.then_some(Measured { advance, speed, current, bus_voltage })
+                Some(Measured { advance, speed, current, bus_voltage })
             }
             _ => None,
         }
@@ -174,10 +174,19 @@ impl<S: Scalar> Encoder<S> {
     #[inline]
     fn advance(&mut self, codes: &Codes) -> S {
         let sum = match self.reads {
-            Reads::All => codes.encoder.iter().fold(0, |sum: u16, read| sum.wrapping_add(*read)),
+            Reads::All => sum(&codes.encoder),
             Reads::Last => codes.encoder[READS - 1],
         };
-        let before = self.before.replace(sum).unwrap_or(sum);
-        S::combine([(self.angle, S::from_difference(sum.wrapping_sub(before) as i16))])
+        let difference = sum.wrapping_sub(self.before) as i16;
+        self.before = sum;
+        S::combine([(self.angle, S::from_difference(difference))])
     }
+}
+
+/// Sum modulo 2¹⁶, two reads at a time.
+#[inline]
+fn sum(reads: &[u16; READS]) -> u16 {
+    let pairs =
+        reads.as_chunks().0.iter().map(|[low, high]| u32::from(*low) | u32::from(*high) << 16);
+    pairs.fold(0, |sum: u32, pair| sum.wrapping_add(pair).wrapping_add(pair >> 16)) as u16
 }

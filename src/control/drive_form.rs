@@ -266,23 +266,23 @@ impl<S: Scalar> DriveForm<S> {
 
     /// Runs the observer of angle, speed and disturbance.
     #[inline]
-    fn observe(&mut self, measured: &Measured<S>, jump: S) {
-        let both = self.current + measured.current;
+    fn observe(&mut self, advance: S, current: S, jump: S) {
+        let both = self.current + current;
         let acceleration = S::combine([(self.half_a2, both), (self.minus_a1, self.observer.speed)])
             + self.disturbance;
-        let correction = self.observer.step(measured.advance, acceleration);
+        let correction = self.observer.step(advance, acceleration);
         let mismatch = self.speed_mismatch + correction - S::combine([(self.share, jump)]);
         self.speed_mismatch = mismatch.limited(self.speed_limit);
         let exhausted = self.speed_mismatch.abs() >= self.speed_limit;
-        self.exhausted = if exhausted { self.exhausted.saturating_add(1) } else { 0 };
+        self.exhausted = if exhausted { self.exhausted.wrapping_add(1) } else { 0 };
         let injection = self.disturbance_injection.value(self.speed_mismatch);
         self.disturbance = S::combine([(self.k1, injection)]);
-        self.current = measured.current;
+        self.current = current;
     }
 
     /// With the bridge off the observer goes on, so that a start finds speed and load known.
     pub fn follow(&mut self, measured: &Measured<S>) -> S {
-        self.observe(measured, S::ZERO);
+        self.observe(measured.advance, measured.current, S::ZERO);
         self.exhausted = 0;
         self.observer.speed
     }
@@ -297,9 +297,8 @@ impl<S: Scalar> DriveForm<S> {
 
     // Not inlined, for its instructions to be counted apart from its caller's.
     #[inline(never)]
-    pub fn step(&mut self, measured: &Measured<S>, reference: &Reference<S>, acting: S) -> S {
-        self.observe(measured, reference.speed - self.predicted_reference);
-        let current = measured.current;
+    pub fn step(&mut self, advance: S, current: S, reference: &Reference<S>, acting: S) -> S {
+        self.observe(advance, current, reference.speed - self.predicted_reference);
         let speed = self.observer.speed;
         let disturbance = self.disturbance;
 

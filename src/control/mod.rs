@@ -114,6 +114,17 @@ impl<S: Scalar> Signals<S> {
         Self { speed: S::ZERO, z1: S::ZERO, z2: S::ZERO, disturbance: S::ZERO, voltage: S::ZERO };
 }
 
+/// What the drive has to know of a step.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Decision<S> {
+    /// Wanted armature voltage for the next period, before the duty limit (V).
+    pub voltage: S,
+    /// Shaft speed, measured or estimated (rad/s).
+    pub speed: S,
+    /// How many steps in a row the disturbance has been at the end of its observer's authority.
+    pub exhausted: u32,
+}
+
 /// A speed controller: coefficients that are built once, and its state.
 #[derive(Clone, Debug)]
 pub(crate) enum Controller<S: Scalar> {
@@ -155,15 +166,29 @@ impl<S: Scalar> Controller<S> {
         }
     }
 
-    /// One step: from a sample, its reference and the armature voltage that acts from this sample on (V) to the wanted
-    /// armature voltage for the period after (V), before the duty limit.
+    /// One step: from a sample, its reference and the armature voltage that acts from this sample on (V).
     #[inline]
-    pub fn step(&mut self, measured: &Measured<S>, reference: &Reference<S>, acting: S) -> S {
+    pub fn step(
+        &mut self,
+        measured: &Measured<S>,
+        reference: &Reference<S>,
+        acting: S,
+    ) -> Decision<S> {
+        let decision = |voltage, signals: &Signals<S>, exhausted| Decision {
+            voltage,
+            speed: signals.speed,
+            exhausted,
+        };
         match self {
-            Self::Paper(paper) => paper.step(measured, reference),
-            Self::Drive(drive) => drive.step(measured, reference, acting),
-            Self::Pi(pi) => pi.step(measured, reference, acting),
-            Self::Ladrc(ladrc) => ladrc.step(measured, reference, acting),
+            Self::Paper(paper) => decision(paper.step(measured, reference), paper.signals(), 0),
+            Self::Drive(drive) => {
+                let voltage = drive.step(measured.advance, measured.current, reference, acting);
+                decision(voltage, drive.signals(), drive.exhausted())
+            }
+            Self::Pi(pi) => decision(pi.step(measured, reference, acting), pi.signals(), 0),
+            Self::Ladrc(ladrc) => {
+                decision(ladrc.step(measured, reference, acting), ladrc.signals(), 0)
+            }
         }
     }
 
@@ -185,15 +210,6 @@ impl<S: Scalar> Controller<S> {
             Self::Paper(paper) => paper.sliding_variables(),
             Self::Drive(drive) => drive.sliding_variables(),
             Self::Pi(_) | Self::Ladrc(_) => [S::ZERO; 2],
-        }
-    }
-
-    /// How many steps in a row the disturbance has been at the end of the observer's authority, where there is one.
-    #[inline]
-    pub fn exhausted(&self) -> u32 {
-        match self {
-            Self::Drive(drive) => drive.exhausted(),
-            Self::Paper(_) | Self::Pi(_) | Self::Ladrc(_) => 0,
         }
     }
 }

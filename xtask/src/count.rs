@@ -63,7 +63,7 @@ fn table(elf: &Path) -> Result<String> {
     let image = object::File::parse(&*data)?;
     let calibration = function(&image, "5board4qemu", "11calibration")?;
     let step = function(&image, "5drive", "Drive$LT$S$GT$4step")?;
-    let paper = function(&image, "7control5paper", "Paper$LT$S$GT$4step")?;
+    let paper = function(&image, "7control5paper", "Paper$LT$S$GT$7control")?;
     let drive_form = function(&image, "7control10drive_form", "DriveForm$LT$S$GT$4step")?;
 
     // A straight line of a hundred and a few instructions of two bytes each.

@@ -78,11 +78,15 @@ impl<S: Scalar> Paper<S> {
         estimator.start_disturbance(speed, modelled, reference);
     }
 
-    // Not inlined, for its instructions to be counted apart from its caller's.
-    #[inline(never)]
+    #[inline]
     pub fn step(&mut self, measured: &Measured<S>, reference: &Reference<S>) -> S {
         let speed = self.speed.step(measured, self.acceleration);
-        let current = measured.current;
+        self.control(speed, measured.current, reference)
+    }
+
+    // Not inlined, for its instructions to be counted apart from its caller's.
+    #[inline(never)]
+    fn control(&mut self, speed: S, current: S, reference: &Reference<S>) -> S {
         let z1 = speed - reference.speed;
         let modelled = self.law.modelled_acceleration(speed, current);
         let (z2, disturbance, lumped) = match &mut self.estimator {
