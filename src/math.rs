@@ -33,6 +33,9 @@ pub trait Scalar:
     /// The signal nearest to `value`. For configuration, not for the loop.
     fn from_f32(value: f32) -> Self;
 
+    /// The number nearest to this. For new commands, not for the loop.
+    fn to_f32(self) -> f32;
+
     /// A converter's code.
     fn from_code(code: u16) -> Self;
 
@@ -73,6 +76,10 @@ impl Scalar for f32 {
 
     fn from_f32(value: f32) -> Self {
         value
+    }
+
+    fn to_f32(self) -> f32 {
+        self
     }
 
     #[inline]
@@ -134,9 +141,14 @@ pub fn tanh(x: f32) -> f32 {
     libm::tanhf(x)
 }
 
-/// Square root. For configuration time.
+/// Square root. For configuration time and new commands.
 pub fn sqrt(x: f32) -> f32 {
     libm::sqrtf(x)
+}
+
+/// The integer not below. For configuration time and new commands.
+pub fn ceil(x: f32) -> f32 {
+    libm::ceilf(x)
 }
 
 /// e^x − 1, accurate near zero too. For configuration time.

@@ -74,7 +74,11 @@ fn any_law() -> impl Strategy<Value = Law> {
 fn any_shape() -> impl Strategy<Value = Shape> {
     prop_oneof![
         Just(Shape::Step),
-        (1.0..10_000.0_f32).prop_map(|bandwidth| Shape::SecondOrder { bandwidth })
+        (1.0..10_000.0_f32).prop_map(|bandwidth| Shape::SecondOrder { bandwidth }),
+        (10.0..1e5_f32, 1e-3..1.0_f32).prop_map(|(acceleration, share)| Shape::SCurve {
+            acceleration,
+            jerk: share * acceleration * TIMING.rate,
+        })
     ]
 }
 

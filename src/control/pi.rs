@@ -478,7 +478,7 @@ pub(super) mod rig {
         /// A period of a sample that has nothing to do with the motor.
         pub fn mislead(&mut self, measured: &Measured<f32>, acting: f32) {
             let reference = Reference::constant(-measured.speed);
-            assert!(self.controller.step(measured, &reference, acting).is_finite());
+            assert!(self.controller.step(measured, &reference, acting).voltage.is_finite());
         }
 
         pub fn start(&mut self) {
@@ -491,7 +491,8 @@ pub(super) mod rig {
         /// A period of control.
         pub fn period(&mut self, reference: &Reference<f32>) {
             self.state[3] = f64::from(self.wanted).clamp(-self.bus, self.bus);
-            self.wanted = self.controller.step(&self.measured(), reference, self.state[3] as f32);
+            self.wanted =
+                self.controller.step(&self.measured(), reference, self.state[3] as f32).voltage;
             assert!(self.wanted.is_finite());
             self.advance();
         }
