@@ -149,6 +149,8 @@ pub struct Drive<S: Scalar> {
     mode: Mode,
     /// Whether the drive is armed and its controller has started.
     driving: bool,
+    /// Whether another controller is to take over in the middle of a run.
+    changed: bool,
     /// Whether there was a sample.
     seen: bool,
     /// Whether there was a driven period.
@@ -172,13 +174,16 @@ pub struct Drive<S: Scalar> {
     minus_inertia: S::Gain,
 }
 
-impl<S: Scalar> Drive<S> {
-    /// Builds a drive, not armed, commanded to stand still. Refuses a configuration outside its range, naming the field.
+/// A controller that is ready to take over; see [`Drive::change_controller`].
+#[derive(Clone, Debug)]
+pub struct ReadyController<S: Scalar>(Controller<S>);
+
+impl<S: Scalar> ReadyController<S> {
+    /// Builds the controller of a configuration; all else in it must be as the drive that it is for was built.
     pub fn new(config: &DriveConfig) -> Result<Self, ConfigError> {
         let motor = config.motor.coefficients()?;
-        let limits = &config.limits;
+        let DriveConfig { limits, timing, .. } = config;
         limits.check()?;
-        let timing = &config.timing;
         let setting = Setting {
             motor: &motor,
             timing,
@@ -189,13 +194,23 @@ impl<S: Scalar> Drive<S> {
                 current_command: limits.current_command,
             },
         };
+        Ok(Self(Controller::new(&config.control, &setting)?))
+    }
+}
+
+impl<S: Scalar> Drive<S> {
+    /// Builds a drive, not armed, commanded to stand still. Refuses a configuration outside its range, naming the field.
+    pub fn new(config: &DriveConfig) -> Result<Self, ConfigError> {
+        let DriveConfig { limits, timing, .. } = config;
+        let ReadyController(controller) = ReadyController::new(config)?;
         Ok(Self {
             mode: Mode::Off,
             driving: false,
             seen: false,
             driven: false,
-            controller: Controller::new(&config.control, &setting)?,
-            sensing: Sensing::new(&config.sensors, limits.speed, timing.rate)?,
+            changed: false,
+            controller,
+            sensing: Sensing::new(&config.sensors, limits.speed, limits.current, timing.rate)?,
             shaper: Shaper::new(config.shape, timing.rate)?,
             duty_limit: S::from_f32(limits.duty),
             speed_limit: S::from_f32(limits.speed),
@@ -207,7 +222,7 @@ impl<S: Scalar> Drive<S> {
             idle_speed: S::ZERO,
             authority_steps: (AUTHORITY_TIME * timing.rate) as u32,
             back_emf: S::gain(config.motor.back_emf_constant),
-            minus_inertia: S::gain(-motor.inertia),
+            minus_inertia: S::gain(-config.motor.inertia),
         })
     }
 
@@ -224,11 +239,23 @@ impl<S: Scalar> Drive<S> {
         }
     }
 
+    /// Another controller, or the same with other gains, from the next step on. In the middle of a run it takes over without
+    /// a jump: it starts from the speed that was known, the current that there is, and the voltage that acts.
+    pub fn change_controller(&mut self, ReadyController(controller): ReadyController<S>) {
+        self.changed = self.driving;
+        if self.driving {
+            self.idle_speed = self.controller.signals().speed;
+            self.driving = false;
+        }
+        self.controller = controller;
+    }
+
     /// Turns the outputs off from the next step. A fault stays latched.
     pub fn disarm(&mut self) {
         if self.mode == Mode::Running {
             self.mode = Mode::Off;
             self.driving = false;
+            self.changed = false;
         }
     }
 
@@ -302,11 +329,16 @@ impl<S: Scalar> Drive<S> {
             }
             return None;
         }
+        self.driving = true;
+        self.driven = true;
+        if core::mem::replace(&mut self.changed, false) {
+            let reference = *self.shaper.clone().advance();
+            self.controller.resume(self.idle_speed, &measured, &reference, self.voltage);
+            return Some(measured);
+        }
         self.shaper.reset(self.idle_speed);
         self.voltage = S::combine([(self.back_emf, self.idle_speed)]);
         self.controller.start(&measured, self.shaper.clone().advance());
-        self.driving = true;
-        self.driven = true;
         Some(measured)
     }
 

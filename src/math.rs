@@ -141,6 +141,11 @@ pub fn tanh(x: f32) -> f32 {
     libm::tanhf(x)
 }
 
+/// Inverse hyperbolic tangent. For configuration time and a change of controllers.
+pub fn atanh(x: f32) -> f32 {
+    libm::atanhf(x)
+}
+
 /// Square root. For configuration time and new commands.
 pub fn sqrt(x: f32) -> f32 {
     libm::sqrtf(x)

@@ -3,8 +3,8 @@
 use crate::scenario::{Broken, finite, non_negative, positive, rule};
 use quasidrive::hal::{Codes, READS};
 use quasidrive::sense::{Calibration, Reads};
-use rand::SeedableRng;
 use rand::rngs::StdRng;
+use rand::{Rng, SeedableRng};
 use rand_distr::{Distribution, Normal};
 use serde::Deserialize;
 
@@ -61,6 +61,8 @@ pub enum ReadsName {
     /// All 16.
     #[default]
     All,
+    /// All 16, earlier by a random shift in each period.
+    Shifted,
     /// The last.
     Last,
 }
@@ -86,8 +88,10 @@ impl SensorsTable {
             current_zero: (0.5 * CODES) as f32,
             bus_voltage_per_code: self.bus_voltage_resolution as f32,
             counts_per_turn: self.counts_per_turn as i32,
+            highest_code: (CODES - 1.0) as u16,
             reads: match self.reads {
                 ReadsName::All => Reads::All,
+                ReadsName::Shifted => Reads::Shifted,
                 ReadsName::Last => Reads::Last,
             },
         }
@@ -104,6 +108,8 @@ pub struct Sensors {
     /// Misplacement of each edge (counts).
     edges: Vec<f64>,
     encoder: [u16; READS],
+    /// How much earlier the encoder is read in this period, in 1/256 of the distance of two reads.
+    shift: u8,
 }
 
 impl Sensors {
@@ -126,7 +132,13 @@ impl Sensors {
             bus_voltage_noise: normal(table.bus_voltage_noise),
             edges,
             encoder: [0; READS],
+            shift: 0,
         }
+    }
+
+    /// How much earlier the encoder is read in this period, as a share of the period.
+    pub fn shift(&self) -> f64 {
+        f64::from(self.shift) / (256 * READS) as f64
     }
 
     /// Reads the encoder's counter for the `read`th time in a period, at an angle (rad).
@@ -159,6 +171,14 @@ impl Sensors {
             current: code(current / current_resolution + 0.5 * CODES),
             bus_voltage: code(bus_voltage / bus_voltage_resolution),
             encoder: self.encoder,
+            shift: self.shift,
+        }
+    }
+
+    /// Begins the next period.
+    pub fn begin(&mut self) {
+        if self.table.reads == ReadsName::Shifted {
+            self.shift = self.random.random();
         }
     }
 }

@@ -26,7 +26,7 @@ use super::injection::Injection;
 use super::{Setting, Signals, Timing};
 use crate::config::{ConfigError, positive, require};
 use crate::estimate::AngleObserver;
-use crate::math::{Scalar, exp_m1, sqrt};
+use crate::math::{Scalar, atanh, exp_m1, sqrt};
 use crate::motor::{Coefficients, MotorParameters};
 use crate::sense::{Calibration, Measured};
 use crate::trajectory::Reference;
@@ -164,6 +164,22 @@ pub(crate) struct DriveForm<S: Scalar> {
     a2: S::Gain,
     disturbance_injection: Injection<S>,
     voltage_injection: Injection<S>,
+    resumption: Resumption,
+}
+
+/// What a change of controllers needs.
+#[derive(Clone, Copy, Debug)]
+struct Resumption {
+    /// k1 (rad/s²).
+    strength: f32,
+    /// ε1 (rad/s).
+    layer: f32,
+    /// V (V).
+    reserve: f32,
+    /// ε2 (A).
+    reserve_layer: f32,
+    /// Ra (Ω).
+    resistance: f32,
 }
 
 /// The mismatch at which an injection counts as exhausted, in boundary layers: tanh is 0.995 there.
@@ -261,16 +277,23 @@ impl<S: Scalar> DriveForm<S> {
             a2: S::gain(a2),
             disturbance_injection: Injection::new(0.0, epsilon1),
             voltage_injection: Injection::new(0.0, epsilon2),
+            resumption: Resumption {
+                strength: k1,
+                layer: epsilon1,
+                reserve: voltage_reserve,
+                reserve_layer: epsilon2,
+                resistance,
+            },
         })
     }
 
     /// Runs the observer of angle, speed and disturbance.
     #[inline]
-    fn observe(&mut self, advance: S, current: S, jump: S) {
+    fn observe(&mut self, (advance, extra_age): (S, S), current: S, jump: S) {
         let both = self.current + current;
         let acceleration = S::combine([(self.half_a2, both), (self.minus_a1, self.observer.speed)])
             + self.disturbance;
-        let correction = self.observer.step(advance, acceleration);
+        let correction = self.observer.step(advance, extra_age, acceleration);
         let mismatch = self.speed_mismatch + correction - S::combine([(self.share, jump)]);
         self.speed_mismatch = mismatch.limited(self.speed_limit);
         let exhausted = self.speed_mismatch.abs() >= self.speed_limit;
@@ -282,7 +305,8 @@ impl<S: Scalar> DriveForm<S> {
 
     /// With the bridge off the observer goes on, so that a start finds speed and load known.
     pub fn follow(&mut self, measured: &Measured<S>) -> S {
-        self.observe(measured.advance, measured.current, S::ZERO);
+        let angle = (measured.advance, measured.extra_age);
+        self.observe(angle, measured.current, S::ZERO);
         self.exhausted = 0;
         self.observer.speed
     }
@@ -295,10 +319,33 @@ impl<S: Scalar> DriveForm<S> {
         self.exhausted = 0;
     }
 
+    /// Takes over: the current that it finds is what holds the speed, and the voltage that acts is the right one.
+    pub fn resume(
+        &mut self,
+        speed: S,
+        measured: &Measured<S>,
+        reference: &Reference<S>,
+        acting: S,
+    ) {
+        let current = measured.current;
+        self.start(measured, reference);
+        self.observer.resume(speed);
+        let modelled = S::combine([(self.a2, current), (self.minus_a1, speed)]);
+        let Resumption { strength, layer, reserve, reserve_layer, resistance } = self.resumption;
+        let held = |value: S, strength: f32, layer: f32| {
+            S::from_f32(layer * atanh((value.to_f32() / strength).clamp(-0.99, 0.99)))
+        };
+        self.speed_mismatch = held(reference.acceleration - modelled, strength, layer);
+        let injection = self.disturbance_injection.value(self.speed_mismatch);
+        self.disturbance = S::combine([(self.k1, injection)]);
+        let needed = S::combine([(self.back_emf, speed), (S::gain(resistance), current)]);
+        self.current_mismatch = held(needed - acting, reserve, reserve_layer);
+    }
+
     // Not inlined, for its instructions to be counted apart from its caller's.
     #[inline(never)]
-    pub fn step(&mut self, advance: S, current: S, reference: &Reference<S>, acting: S) -> S {
-        self.observe(advance, current, reference.speed - self.predicted_reference);
+    pub fn step(&mut self, angle: (S, S), current: S, reference: &Reference<S>, acting: S) -> S {
+        self.observe(angle, current, reference.speed - self.predicted_reference);
         let speed = self.observer.speed;
         let disturbance = self.disturbance;
 

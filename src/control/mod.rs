@@ -166,6 +166,23 @@ impl<S: Scalar> Controller<S> {
         }
     }
 
+    /// Takes over from another controller in the middle of a run, at a sample of which [`step`](Self::step) is to be told
+    /// next: from the speed (rad/s) and the voltage that acts (V).
+    pub fn resume(
+        &mut self,
+        speed: S,
+        measured: &Measured<S>,
+        reference: &Reference<S>,
+        acting: S,
+    ) {
+        match self {
+            Self::Paper(paper) => paper.resume(speed, measured, reference),
+            Self::Drive(drive) => drive.resume(speed, measured, reference, acting),
+            Self::Pi(pi) => pi.resume(speed, measured, reference),
+            Self::Ladrc(ladrc) => ladrc.resume(speed, measured, reference),
+        }
+    }
+
     /// One step: from a sample, its reference and the armature voltage that acts from this sample on (V).
     #[inline]
     pub fn step(
@@ -182,7 +199,8 @@ impl<S: Scalar> Controller<S> {
         match self {
             Self::Paper(paper) => decision(paper.step(measured, reference), paper.signals(), 0),
             Self::Drive(drive) => {
-                let voltage = drive.step(measured.advance, measured.current, reference, acting);
+                let angle = (measured.advance, measured.extra_age);
+                let voltage = drive.step(angle, measured.current, reference, acting);
                 decision(voltage, drive.signals(), drive.exhausted())
             }
             Self::Pi(pi) => decision(pi.step(measured, reference, acting), pi.signals(), 0),
