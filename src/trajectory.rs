@@ -352,7 +352,7 @@ mod tests {
             (1e3, 2.1e7, "reference.jerk"),
         ] {
             let shape = Shape::SCurve { acceleration, jerk };
-            let error = Shaper::<f32>::new(shape, RATE).err().expect("refused");
+            let error = Shaper::<f32>::new(shape, RATE).expect_err("refused");
             assert_eq!(error.field, field);
         }
     }
