@@ -96,7 +96,7 @@ pub enum Fault {
     BusUndervoltage,
     /// The bus voltage was above [`Limits::bus_max`].
     BusOvervoltage,
-    /// The encoder moved further in a period than twice [`Limits::speed`] allows.
+    /// The encoder moved further in a period than twice what [`Limits::speed`] and a count allow.
     EncoderJump,
     /// The disturbance was beyond the authority of its observer for [`AUTHORITY_TIME`]: a load beyond what was configured, a
     /// blocked rotor, or an encoder or motor lead connected the wrong way round.
@@ -196,7 +196,10 @@ impl<S: Scalar> Drive<S> {
             shaper: Shaper::new(config.shape, timing.rate)?,
             duty_limit: S::from_f32(limits.duty),
             speed_limit: S::from_f32(limits.speed),
-            advance_limit: S::from_f32(2.0 * limits.speed * timing.period()),
+            // However slow the shaft, an edge between two samples' reads is a whole count, and noise may be another.
+            advance_limit: S::from_f32(
+                2.0 * (limits.speed * timing.period() + config.sensors.resolution()),
+            ),
             current_limit: S::from_f32(limits.current),
             bus_min: S::from_f32(limits.bus_min),
             bus_max: S::from_f32(limits.bus_max),
