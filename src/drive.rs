@@ -162,7 +162,7 @@ pub struct Drive<S: Scalar> {
     sensing: Sensing<S>,
     shaper: Shaper<S>,
     controller: Controller<S>,
-    /// Speed at the last sample with the bridge off (rad/s).
+    /// Speed when the bridge was last off, or went off (rad/s).
     idle_speed: S,
     /// Steps beyond authority that are a fault.
     authority_steps: u32,
@@ -229,6 +229,7 @@ impl<S: Scalar> Drive<S> {
     pub fn disarm(&mut self) {
         if self.mode == Mode::Running {
             self.mode = Mode::Off;
+            self.idle_speed = self.controller.signals().speed;
         }
     }
 
@@ -300,6 +301,7 @@ impl<S: Scalar> Drive<S> {
     fn refuse(&mut self, fault: Fault) -> BridgeCommand<S> {
         if self.mode == Mode::Running {
             self.mode = Mode::Faulted(fault);
+            self.idle_speed = self.controller.signals().speed;
         }
         BridgeCommand::Off
     }
