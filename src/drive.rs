@@ -98,12 +98,13 @@ pub enum Fault {
     BusOvervoltage,
     /// The encoder moved further in a period than twice what [`Limits::speed`] and a count allow.
     EncoderJump,
-    /// The disturbance was beyond the authority of its observer for [`AUTHORITY_TIME`]: a load beyond what was configured, a
-    /// blocked rotor, or an encoder or motor lead connected the wrong way round.
+    /// Load or voltage were beyond the authority of their observers for [`AUTHORITY_TIME`], and the speed came no nearer to its
+    /// reference: a load beyond what was configured or what the current command can hold, a blocked rotor, an encoder that does
+    /// not count, or an encoder or motor lead connected the wrong way round.
     BeyondAuthority,
 }
 
-/// How long the disturbance may be beyond the observer's authority (s).
+/// How long load or voltage may be beyond the observers' authority (s).
 pub const AUTHORITY_TIME: f32 = 0.025;
 
 /// Whether the drive drives.
@@ -278,7 +279,7 @@ impl<S: Scalar> Drive<S> {
         if self.controller.signals().speed.abs() > self.speed_limit {
             return self.refuse(Fault::Overspeed);
         }
-        if self.controller.exhausted() > self.authority_steps {
+        if self.controller.exhausted() > self.authority_steps && self.controller.stuck() {
             return self.refuse(Fault::BeyondAuthority);
         }
         let duty = (wanted / measured.bus_voltage).limited(self.duty_limit);

@@ -188,12 +188,20 @@ impl<S: Scalar> Controller<S> {
         }
     }
 
-    /// How many steps in a row the disturbance has been at the end of the observer's authority, where there is one.
+    /// How many steps in a row load or voltage have been beyond the authority of the observers, where there are any.
     #[inline]
     pub fn exhausted(&self) -> u32 {
         match self {
             Self::Drive(drive) => drive.exhausted(),
             Self::Paper(_) | Self::Pi(_) | Self::Ladrc(_) => 0,
+        }
+    }
+
+    /// Whether the motor has not obeyed in these steps. If it has, they are counted anew.
+    pub fn stuck(&mut self) -> bool {
+        match self {
+            Self::Drive(drive) => drive.stuck(),
+            Self::Paper(_) | Self::Pi(_) | Self::Ladrc(_) => false,
         }
     }
 }
