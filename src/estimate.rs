@@ -195,7 +195,7 @@ mod tests {
     fn bandwidths_are_checked() {
         for bandwidth in [0.0, f32::NAN, 30_000.0] {
             let source = SpeedSource::Pll { bandwidth, fed: true };
-            let error = SpeedEstimator::<f32>::new(&source, PERIOD, 0.0).err().expect("refused");
+            let error = SpeedEstimator::<f32>::new(&source, PERIOD, 0.0).expect_err("refused");
             assert_eq!(error.field, "control.speed.bandwidth");
         }
     }
