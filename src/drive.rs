@@ -96,14 +96,15 @@ pub enum Fault {
     BusUndervoltage,
     /// The bus voltage was above [`Limits::bus_max`].
     BusOvervoltage,
-    /// The encoder moved further in a period than twice [`Limits::speed`] allows.
+    /// The encoder moved further in a period than twice what [`Limits::speed`] and a count allow.
     EncoderJump,
-    /// The disturbance was beyond the authority of its observer for [`AUTHORITY_TIME`]: a load beyond what was configured, a
-    /// blocked rotor, or an encoder or motor lead connected the wrong way round.
+    /// Load or voltage were beyond the authority of their observers for [`AUTHORITY_TIME`], and the speed came no nearer to its
+    /// reference: a load beyond what was configured or what the current command can hold, a blocked rotor, an encoder that does
+    /// not count, or an encoder or motor lead connected the wrong way round.
     BeyondAuthority,
 }
 
-/// How long the disturbance may be beyond the observer's authority (s).
+/// How long load or voltage may be beyond the observers' authority (s).
 pub const AUTHORITY_TIME: f32 = 0.025;
 
 /// Whether the drive drives.
@@ -166,7 +167,7 @@ pub struct Drive<S: Scalar> {
     sensing: Sensing<S>,
     shaper: Shaper<S>,
     controller: Controller<S>,
-    /// Speed at the last sample with the bridge off (rad/s).
+    /// Speed when the bridge was last off, or went off (rad/s).
     idle_speed: S,
     /// Steps beyond authority that are a fault.
     authority_steps: u32,
@@ -214,7 +215,10 @@ impl<S: Scalar> Drive<S> {
             shaper: Shaper::new(config.shape, timing.rate)?,
             duty_limit: S::from_f32(limits.duty),
             speed_limit: S::from_f32(limits.speed),
-            advance_limit: S::from_f32(2.0 * limits.speed * timing.period()),
+            // However slow the shaft, an edge between two samples' reads is a whole count, and noise may be another.
+            advance_limit: S::from_f32(
+                2.0 * (limits.speed * timing.period() + config.sensors.resolution()),
+            ),
             current_limit: S::from_f32(limits.current),
             bus_min: S::from_f32(limits.bus_min),
             bus_max: S::from_f32(limits.bus_max),
@@ -254,8 +258,7 @@ impl<S: Scalar> Drive<S> {
     pub fn disarm(&mut self) {
         if self.mode == Mode::Running {
             self.mode = Mode::Off;
-            self.driving = false;
-            self.changed = false;
+            self.stop();
         }
     }
 
@@ -302,12 +305,15 @@ impl<S: Scalar> Drive<S> {
             self.controller.step(&measured, reference, self.voltage);
         // Not the other way round: a NaN is no speed within the limit.
         let plausible = speed.abs() <= self.speed_limit;
-        if !plausible || exhausted > self.authority_steps {
-            return self.refuse(match plausible {
-                true => Fault::BeyondAuthority,
-                false if speed.is_finite() => Fault::Overspeed,
-                false => Fault::BadSample,
+        if !plausible {
+            return self.refuse(if speed.is_finite() {
+                Fault::Overspeed
+            } else {
+                Fault::BadSample
             });
+        }
+        if exhausted > self.authority_steps && self.controller.stuck() {
+            return self.refuse(Fault::BeyondAuthority);
         }
         let duty = (voltage / measured.bus_voltage).limited(self.duty_limit);
         self.voltage = duty * measured.bus_voltage;
@@ -347,9 +353,19 @@ impl<S: Scalar> Drive<S> {
     fn refuse(&mut self, fault: Fault) -> BridgeCommand<S> {
         if self.mode == Mode::Running {
             self.mode = Mode::Faulted(fault);
-            self.driving = false;
+            self.stop();
         }
         BridgeCommand::Off
+    }
+
+    /// Goes idle, with the speed that was last known.
+    fn stop(&mut self) {
+        let speed = self.controller.signals().speed;
+        if self.driving && speed.abs() <= self.speed_limit {
+            self.idle_speed = speed;
+        }
+        self.driving = false;
+        self.changed = false;
     }
 
     /// Whether a sample is within the limits.

@@ -71,6 +71,14 @@ impl Sensors {
             Self::Codes(calibration) => calibration.age(period),
         }
     }
+
+    /// The smallest angle that they tell (rad).
+    pub(crate) fn resolution(&self) -> f32 {
+        match self {
+            Self::Exact => 0.0,
+            Self::Codes(calibration) => calibration.count().abs(),
+        }
+    }
 }
 
 /// A sample in SI units.

@@ -88,6 +88,11 @@ impl<S: SimulatedScalar> SimulatedBoard<S> {
         self.load.steps_at(self.time) + self.waves.sum() + friction
     }
 
+    /// What flows out of the bridge (A), where the current's sensor is.
+    fn bridge_current(&self) -> f64 {
+        if self.bridge.leads_reversed { -self.state.current } else { self.state.current }
+    }
+
     /// One period with the bridge doing `acting`: a duty is a share of the bus voltage that is there as it acts.
     #[inline]
     fn advance(&mut self, acting: BridgeCommand<f64>) {
@@ -129,7 +134,7 @@ impl<S: SimulatedScalar> SimulatedBoard<S> {
         self.time = self.period as f64 / self.rate;
         let drawn = match acting {
             BridgeCommand::Off => 0.0,
-            BridgeCommand::Duty(duty) => duty * self.state.current,
+            BridgeCommand::Duty(duty) => duty * self.bridge_current(),
         };
         self.bus_now =
             value_at(&self.bus_steps, self.bus_voltage, self.time) - self.bus_resistance * drawn;
@@ -138,12 +143,13 @@ impl<S: SimulatedScalar> SimulatedBoard<S> {
 
 impl<S: SimulatedScalar> Board<S> for SimulatedBoard<S> {
     fn sample(&mut self) -> Sample<S> {
+        let current = self.bridge_current();
         match &mut self.sensors {
-            Some(sensors) => Sample::Codes(sensors.sample(self.state.current, self.bus_now)),
+            Some(sensors) => Sample::Codes(sensors.sample(current, self.bus_now)),
             None => Sample::Exact(Exact {
                 speed: S::from_f64(self.state.speed),
                 advance: S::from_f64(self.advance),
-                current: S::from_f64(self.state.current),
+                current: S::from_f64(current),
                 bus_voltage: S::from_f64(self.bus_now),
             }),
         }
@@ -221,6 +227,24 @@ mod tests {
         // The duty was commanded at 24 V and acts at 12 V.
         let ratio = sagging.state().current / stiff.state().current;
         assert!((ratio - 0.5).abs() < 1e-3, "{ratio}");
+    }
+
+    #[test]
+    fn reversed_leads_turn_the_motor_but_not_the_sensor_of_the_current() {
+        // What the board sees is a motor that turns backwards: its own current is still that of its own voltage.
+        let mut board = board(|scenario| {
+            scenario.bridge.leads_reversed = true;
+            scenario.bus.resistance = 0.1;
+        });
+        for _ in 0..3 {
+            board.apply(BridgeCommand::Duty(Double(0.5)));
+        }
+        let Sample::Exact(sample) = board.sample() else { unreachable!("exact sensors") };
+        assert!(sample.current.0 > 3.0 && board.state().current == -sample.current.0, "{sample:?}");
+        assert!(sample.speed.0 < -0.1, "{sample:?}");
+        // It draws from the bus.
+        let expected = 24.0 - 0.1 * 0.5 * sample.current.0;
+        assert!((sample.bus_voltage.0 - expected).abs() < 1e-9, "{sample:?}");
     }
 
     #[test]

@@ -136,8 +136,12 @@ pub(crate) struct DriveForm<S: Scalar> {
     predicted_current: S,
     /// The reference speed predicted for the next sample (rad/s).
     predicted_reference: S,
-    /// Steps in a row that the disturbance was at the end of its authority.
+    /// Steps in a row that load or voltage were beyond authority.
     exhausted: u32,
+    /// Speed before them (rad/s).
+    speed_before: S,
+    /// The disturbance that is beyond authority (rad/s²).
+    overload: S,
     /// How much of the reference's jumps enters σ1: nothing (BS-QSMDO) or all (BS-QISMC).
     share: S::Gain,
     half_a2: S::Gain,
@@ -249,6 +253,8 @@ impl<S: Scalar> DriveForm<S> {
             predicted_current: S::ZERO,
             predicted_reference: S::ZERO,
             exhausted: 0,
+            speed_before: S::ZERO,
+            overload: S::from_f32((0.99 * k1).min(0.95 * a2 * ranges.current_command)),
             share: S::gain(match memory {
                 Memory::Observer => 0.0,
                 Memory::Integral => 1.0,
@@ -296,8 +302,6 @@ impl<S: Scalar> DriveForm<S> {
         let correction = self.observer.step(advance, extra_age, acceleration);
         let mismatch = self.speed_mismatch + correction - S::combine([(self.share, jump)]);
         self.speed_mismatch = mismatch.limited(self.speed_limit);
-        let exhausted = self.speed_mismatch.abs() >= self.speed_limit;
-        self.exhausted = if exhausted { self.exhausted.wrapping_add(1) } else { 0 };
         let injection = self.disturbance_injection.value(self.speed_mismatch);
         self.disturbance = S::combine([(self.k1, injection)]);
         self.current = current;
@@ -389,6 +393,19 @@ impl<S: Scalar> DriveForm<S> {
             - lacking;
         let voltage = acting + S::combine([(self.output_share, voltage - acting)]);
 
+        // Beyond authority: more load than can be held, or a voltage that the reserve does not cover while less than half
+        // of the wanted current flows. (A resistance half off takes the reserve in a jump too, but not half the current.)
+        let missing = (current_ahead - command).abs();
+        let overloaded = disturbance.abs() >= self.overload;
+        let starved =
+            self.current_mismatch.abs() >= self.current_limit && missing + missing > command.abs();
+        if overloaded || starved {
+            self.exhausted = self.exhausted.wrapping_add(1);
+        } else {
+            self.exhausted = 0;
+            self.speed_before = speed;
+        }
+
         self.predicted_current = current_ahead;
         self.predicted_reference = reference_ahead;
         self.last = Signals {
@@ -409,9 +426,24 @@ impl<S: Scalar> DriveForm<S> {
         [self.speed_mismatch, self.current_mismatch]
     }
 
-    /// How many steps in a row the disturbance has been at the end of its authority.
+    /// How many steps in a row load or voltage have been beyond authority.
     pub fn exhausted(&self) -> u32 {
         self.exhausted
+    }
+
+    /// Whether the speed came nowhere near its reference while load or voltage were beyond authority: neither a tenth of
+    /// what is left, nor twice what is left in whatever direction. If it did, counting starts anew: to accelerate more
+    /// inertia than the model has is no fault.
+    #[cold]
+    pub fn stuck(&mut self) -> bool {
+        let Signals { speed, z1, .. } = self.last;
+        let moved = speed - self.speed_before;
+        let nearer = if z1 < S::ZERO { moved } else { -moved };
+        let left = z1.abs();
+        let stuck = nearer <= S::from_f32(0.1) * left && moved.abs() <= left + left;
+        self.exhausted = 0;
+        self.speed_before = speed;
+        stuck
     }
 }
 

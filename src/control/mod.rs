@@ -121,7 +121,7 @@ pub(crate) struct Decision<S> {
     pub voltage: S,
     /// Shaft speed, measured or estimated (rad/s).
     pub speed: S,
-    /// How many steps in a row the disturbance has been at the end of its observer's authority.
+    /// How many steps in a row load or voltage have been beyond the authority of the observers, where there are any.
     pub exhausted: u32,
 }
 
@@ -228,6 +228,14 @@ impl<S: Scalar> Controller<S> {
             Self::Paper(paper) => paper.sliding_variables(),
             Self::Drive(drive) => drive.sliding_variables(),
             Self::Pi(_) | Self::Ladrc(_) => [S::ZERO; 2],
+        }
+    }
+
+    /// Whether the motor has not obeyed in these steps. If it has, they are counted anew.
+    pub fn stuck(&mut self) -> bool {
+        match self {
+            Self::Drive(drive) => drive.stuck(),
+            Self::Paper(_) | Self::Pi(_) | Self::Ladrc(_) => false,
         }
     }
 }
