@@ -265,12 +265,15 @@ impl<S: Scalar> Drive<S> {
         let Some(measured) = self.sensing.read(sample) else {
             return self.refuse(Fault::BadSample);
         };
+        if self.mode != Mode::Running {
+            // Without a bus too: what matters is where the motor is when it is armed.
+            if self.motor_limits_hold(&measured) {
+                self.idle_speed = self.controller.follow(&measured);
+            }
+            return BridgeCommand::Off;
+        }
         if !self.limits_hold(&measured) {
             return self.refuse(self.fault_in(&measured));
-        }
-        if self.mode != Mode::Running {
-            self.idle_speed = self.controller.follow(&measured);
-            return BridgeCommand::Off;
         }
         if !self.started {
             self.start(&measured);
@@ -310,11 +313,17 @@ impl<S: Scalar> Drive<S> {
     /// Whether a sample is within the limits.
     #[inline]
     fn limits_hold(&self, measured: &Measured<S>) -> bool {
+        self.motor_limits_hold(measured)
+            && measured.bus_voltage >= self.bus_min
+            && measured.bus_voltage <= self.bus_max
+    }
+
+    /// Whether what a sample says of the motor is within the limits.
+    #[inline]
+    fn motor_limits_hold(&self, measured: &Measured<S>) -> bool {
         measured.speed.abs() <= self.speed_limit
             && measured.advance.abs() <= self.advance_limit
             && measured.current.abs() <= self.current_limit
-            && measured.bus_voltage >= self.bus_min
-            && measured.bus_voltage <= self.bus_max
     }
 
     /// What is wrong with a sample that is not within the limits.
