@@ -330,7 +330,7 @@ impl<S: Scalar> Drive<S> {
         }
         self.seen = true;
         if self.mode != Mode::Running {
-            if self.limits_hold(&measured) && measured.speed.abs() <= self.speed_limit {
+            if self.can_follow(&measured) {
                 self.idle_speed = self.controller.follow(&measured);
             }
             return None;
@@ -368,13 +368,21 @@ impl<S: Scalar> Drive<S> {
         self.changed = false;
     }
 
-    /// Whether a sample is within the limits.
+    /// Whether a sample is within the limits, but for the speed, which the controller tells.
     #[inline]
     fn limits_hold(&self, measured: &Measured<S>) -> bool {
         measured.advance.abs() <= self.advance_limit
             && measured.current.abs() <= self.current_limit
             && measured.bus_voltage >= self.bus_min
             && measured.bus_voltage <= self.bus_max
+    }
+
+    /// Whether a sample is good to follow the motor by. Without a bus too: what matters is where the motor is when the drive is
+    /// armed.
+    fn can_follow(&self, measured: &Measured<S>) -> bool {
+        measured.advance.abs() <= self.advance_limit
+            && measured.current.abs() <= self.current_limit
+            && measured.speed.abs() <= self.speed_limit
     }
 
     /// What is wrong with a sample that is not within the limits.

@@ -214,7 +214,9 @@ impl<S: Scalar> Encoder<S> {
     #[inline]
     fn advance(&mut self, codes: &Codes) -> S {
         let sum = match self.reads {
-            Reads::All | Reads::Shifted => sum(&codes.encoder),
+            Reads::All | Reads::Shifted => {
+                codes.encoder.iter().fold(0, |sum: u16, read| sum.wrapping_add(*read))
+            }
             Reads::Last => codes.encoder[READS - 1],
         };
         let difference = sum.wrapping_sub(self.before) as i16;
@@ -228,10 +230,166 @@ impl<S: Scalar> Encoder<S> {
     }
 }
 
-/// Sum modulo 2¹⁶, two reads at a time.
-#[inline]
-fn sum(reads: &[u16; READS]) -> u16 {
-    let pairs =
-        reads.as_chunks().0.iter().map(|[low, high]| u32::from(*low) | u32::from(*high) << 16);
-    pairs.fold(0, |sum: u32, pair| sum.wrapping_add(pair).wrapping_add(pair >> 16)) as u16
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const GOOD: Calibration = Calibration {
+        current_per_code: 0.01,
+        current_zero: 2048.0,
+        bus_voltage_per_code: 0.0075,
+        counts_per_turn: 4096,
+        highest_code: 4095,
+        reads: Reads::All,
+    };
+    const COUNT: f32 = core::f32::consts::TAU / 4096.0;
+
+    fn sensing(calibration: Calibration) -> Sensing<f32> {
+        Sensing::new(&Sensors::Codes(calibration), 1000.0, 20.0, 20_000.0).expect("valid")
+    }
+
+    fn codes(encoder: [u16; READS]) -> Sample<f32> {
+        Sample::Codes(Codes { current: 2048, bus_voltage: 3200, encoder, shift: 0 })
+    }
+
+    /// Reads of a counter that moves by `per_read` from read to read and starts at `from`.
+    fn moving(from: u16, per_read: i32) -> [u16; READS] {
+        core::array::from_fn(|read| from.wrapping_add((per_read * read as i32) as u16))
+    }
+
+    fn advance(sensing: &mut Sensing<f32>, encoder: [u16; READS]) -> f32 {
+        sensing.read(&codes(encoder)).expect("codes").advance
+    }
+
+    #[test]
+    fn codes_in_si_units() {
+        let sample = Sample::Codes(Codes {
+            current: 2148,
+            bus_voltage: 3200,
+            encoder: [7; READS],
+            shift: 0,
+        });
+        let measured = sensing(GOOD).read(&sample).expect("codes");
+        assert!((measured.current - 1.0).abs() < 1e-6, "{measured:?}");
+        assert!((measured.bus_voltage - 24.0).abs() < 1e-5, "{measured:?}");
+        assert_eq!(measured.speed, 0.0);
+        // The other way round, and with a zero between two codes.
+        let mounted = Calibration { current_per_code: -0.01, current_zero: 2048.5, ..GOOD };
+        let measured = sensing(mounted).read(&sample).expect("codes");
+        assert!((measured.current + 0.995).abs() < 1e-6, "{measured:?}");
+    }
+
+    #[test]
+    fn advance_is_that_of_the_reads_mean_across_wraps_in_both_directions() {
+        for (per_read, start) in
+            [(1, 65_500_u16), (-1, 40), (3, 65_535), (-3, 0), (50, 1), (-50, 1)]
+        {
+            let mut sensing = sensing(GOOD);
+            advance(&mut sensing, moving(start, per_read));
+            for period in 1..2000_i32 {
+                let from = start.wrapping_add((period * 16 * per_read) as u16);
+                let turned = advance(&mut sensing, moving(from, per_read));
+                let expected = 16.0 * per_read as f32 * COUNT;
+                let error = (turned / expected - 1.0).abs();
+                assert!(error < 1e-6, "{per_read} a read, period {period}: {turned}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_single_edge_shows_in_sixteenths_and_adds_up_to_a_count() {
+        for seen_by in 1..=READS {
+            let mut sensing = sensing(GOOD);
+            advance(&mut sensing, [65_535; READS]);
+            let passing =
+                core::array::from_fn(|read| if read >= READS - seen_by { 0 } else { 65_535 });
+            let first = advance(&mut sensing, passing);
+            assert!((first - seen_by as f32 / 16.0 * COUNT).abs() < 1e-9, "{seen_by}: {first}");
+            let second = advance(&mut sensing, [0; READS]);
+            assert!((first + second - COUNT).abs() < 1e-9, "{seen_by}: {second}");
+        }
+    }
+
+    #[test]
+    fn the_last_read_alone_where_asked_for() {
+        let mut sensing = sensing(Calibration { reads: Reads::Last, ..GOOD });
+        advance(&mut sensing, moving(65_530, 1));
+        let mut next = [12_345; READS];
+        next[READS - 1] = 65_530_u16.wrapping_add(15 + 20);
+        assert!((advance(&mut sensing, next) - 20.0 * COUNT).abs() < 1e-7);
+    }
+
+    #[test]
+    fn reversed_counts_turn_the_other_way() {
+        let mut there = sensing(GOOD);
+        let mut back = sensing(Calibration { counts_per_turn: -4096, ..GOOD });
+        for sensing in [&mut there, &mut back] {
+            advance(sensing, [100; READS]);
+        }
+        let (forward, backward) =
+            (advance(&mut there, [110; READS]), advance(&mut back, [110; READS]));
+        assert!((forward - 10.0 * COUNT).abs() < 1e-7 && backward == -forward, "{backward}");
+    }
+
+    #[test]
+    fn the_largest_accepted_speed_is_told_right_and_a_larger_one_is_refused() {
+        // 1000 counts a period are 16,000 of the sum: within ±32,768, the double still is.
+        let fastest = 1000.0 * COUNT * 20_000.0;
+        let new = |speed| Sensing::<f32>::new(&Sensors::Codes(GOOD), speed, 20.0, 20_000.0);
+        assert_eq!(new(1.001 * fastest).expect_err("too fast").field, "limits.speed");
+        let mut sensing = new(0.999 * fastest).expect("valid");
+        for counts in [1000_i32, -1000, 2000, -2000] {
+            advance(&mut sensing, [30_000; READS]);
+            let to = (30_000 + counts) as u16;
+            let turned = advance(&mut sensing, [to; READS]);
+            assert!((turned - counts as f32 * COUNT).abs() < 1e-4, "{counts}: {turned}");
+        }
+    }
+
+    #[test]
+    fn the_reads_age_is_that_of_their_mean() {
+        // Reads at 1/16, 2/16 … 16/16 of the period lie 7.5/16 of it back in the mean.
+        assert!((GOOD.age(1.0) - 7.5 / 16.0).abs() < 1e-7);
+        assert_eq!(Calibration { reads: Reads::Last, ..GOOD }.age(1.0), 0.0);
+        assert_eq!(Sensors::Exact.age(1.0), 0.0);
+    }
+
+    #[test]
+    fn samples_of_the_other_kind_and_without_numbers_are_none() {
+        let exact = Exact { speed: 1.0, advance: 1e-4, current: 2.0, bus_voltage: 24.0 };
+        assert!(sensing(GOOD).read(&Sample::Exact(exact)).is_none());
+        let mut ideal =
+            Sensing::<f32>::new(&Sensors::Exact, 1000.0, 20.0, 20_000.0).expect("valid");
+        assert!(ideal.read(&codes([0; READS])).is_none());
+        let measured = ideal.read(&Sample::Exact(exact)).expect("exact");
+        assert_eq!((measured.speed, measured.advance, measured.current), (1.0, 1e-4, 2.0));
+    }
+
+    #[test]
+    fn refusals_name_the_field() {
+        let nan = f32::NAN;
+        let cases = [
+            (Calibration { current_per_code: 0.0, ..GOOD }, "sensors.current_per_code"),
+            (Calibration { current_per_code: nan, ..GOOD }, "sensors.current_per_code"),
+            (Calibration { current_zero: -1.0, ..GOOD }, "sensors.current_zero"),
+            (Calibration { current_zero: 65_536.0, ..GOOD }, "sensors.current_zero"),
+            (Calibration { current_zero: nan, ..GOOD }, "sensors.current_zero"),
+            (Calibration { bus_voltage_per_code: -0.01, ..GOOD }, "sensors.bus_voltage_per_code"),
+            (Calibration { bus_voltage_per_code: nan, ..GOOD }, "sensors.bus_voltage_per_code"),
+            (Calibration { counts_per_turn: 0, ..GOOD }, "sensors.counts_per_turn"),
+            (Calibration { counts_per_turn: 15, ..GOOD }, "sensors.counts_per_turn"),
+            (Calibration { counts_per_turn: -65_537, ..GOOD }, "sensors.counts_per_turn"),
+            (Calibration { counts_per_turn: i32::MIN, ..GOOD }, "sensors.counts_per_turn"),
+        ];
+        for (calibration, field) in cases {
+            let error = Sensing::<f32>::new(&Sensors::Codes(calibration), 1000.0, 20.0, 20_000.0);
+            assert_eq!(error.expect_err(field).field, field, "{calibration:?}");
+        }
+        for counts_per_turn in [16, -16, 65_536, -65_536] {
+            let calibration = Calibration { counts_per_turn, ..GOOD };
+            assert!(
+                Sensing::<f32>::new(&Sensors::Codes(calibration), 100.0, 20.0, 20_000.0).is_ok()
+            );
+        }
+    }
 }

@@ -850,3 +850,50 @@ fn arming_again_finds_the_reference_where_the_motor_is() {
         assert_within("worst", worst, [1e-3, 1.0]);
     }
 }
+
+#[test]
+fn without_a_bus_the_motor_is_followed_all_the_same() {
+    // The bus is away for 0.4 s, the motor comes to rest meanwhile, and the drive is armed at once when the bus is back.
+    let mut scenario = shaped(at(Controller::DriveQsmdo, 0.0, 0.0, 1.0), 60.0);
+    scenario.motor.coulomb_friction = 0.03;
+    let mut rig = Rig::armed(&commanded(scenario, &[(0.0, 100.0)]));
+    assert_eq!(rig.run(0.3, |_| {}), None);
+    let dead = |codes: &mut Codes| codes.bus_voltage = 0;
+    let fault = rig.play(1e-4, dead, |_| {});
+    assert_eq!(fault.map(|(_, fault)| fault), Some(Fault::BusUndervoltage));
+    rig.play(0.4, dead, |point| assert!(!point.driven));
+    assert!(rig.board.state().speed.abs() < 0.1);
+    rig.drive.clear_fault();
+    rig.drive.arm().expect("no fault");
+    // A shaped start takes 5 A, a jump by 100 rad/s would take 20 A.
+    let (mut current, mut error) = (0.0_f64, 0.0_f64);
+    let fault = rig.run(0.3, |point| {
+        current = current.max(point.current.abs());
+        error = error.max(point.z1.abs());
+    });
+    assert_eq!(fault, None);
+    assert_within("current", current, [2.0, 6.0]);
+    assert_within("z1", error, [0.01, 1.0]);
+}
+
+#[test]
+fn a_current_sensor_that_is_reversed_is_no_run_away() {
+    // What there is, not what should be: without a load beyond authority it is no fault, and the speed is off by 9 rad/s.
+    for (load, expected) in [(0.02, None), (0.3, Some(Fault::BeyondAuthority))] {
+        let scenario = commanded(at(Controller::DriveQsmdo, 0.0, load, 0.5), &[(0.0, 60.0)]);
+        let mut rig = Rig::armed(&scenario);
+        let (mut fastest, mut late) = (0.0_f64, Vec::new());
+        let reverse = |codes: &mut Codes| codes.current = 8192 - codes.current;
+        let fault = rig.play(0.5, reverse, |point| {
+            fastest = fastest.max(point.speed.abs());
+            if point.time > 0.25 {
+                late.push(point.z1);
+            }
+        });
+        assert_eq!(fault.map(|(_, fault)| fault), expected);
+        assert_within("fastest", fastest, [50.0, 80.0]);
+        if expected.is_none() {
+            assert_within("error", rms(&late), [5.0, 15.0]);
+        }
+    }
+}

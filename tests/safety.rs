@@ -381,9 +381,12 @@ fn a_drive_that_ran_starts_anew_when_armed_again() {
             used.step(&Sample::Exact(Exact { speed: step as f32 * 0.1, ..GOOD }));
         }
         used.disarm();
-        used.arm().expect("no fault");
-        let mut fresh = armed(&config);
+        let mut fresh = Drive::new(&config).expect("valid configuration");
         fresh.set_speed(100.0).expect("in range");
+        for drive in [&mut used, &mut fresh] {
+            assert_eq!(drive.step(&Sample::Exact(GOOD)), BridgeCommand::Off);
+            drive.arm().expect("no fault");
+        }
         for _ in 0..10 {
             assert_eq!(
                 used.step(&Sample::Exact(GOOD)),

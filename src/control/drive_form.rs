@@ -468,6 +468,7 @@ fn observer_gains(wo: f32, h: f32) -> [f32; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::control::Ranges;
 
     #[test]
     fn gains_place_the_observers_poles() {
@@ -502,5 +503,203 @@ mod tests {
                 assert!(error < 1e-6, "wo {wo}, z {z}: {} is not {wanted}", determinant(z));
             }
         }
+    }
+
+    const TIMING: Timing = Timing { rate: 20_000.0, delay: true };
+    const GOOD: DriveFormConfig = DriveFormConfig {
+        memory: Memory::Observer,
+        observer_bandwidth: 1170.0,
+        speed_bandwidth: 702.0,
+        current_bandwidth: 4680.0,
+        voltage_bandwidth: 819.0,
+        output_bandwidth: 7020.0,
+        load_torque: 0.3,
+        voltage_reserve: 2.5,
+    };
+
+    fn built(config: &DriveFormConfig, timing: Timing) -> Result<DriveForm<f32>, ConfigError> {
+        let motor = MotorParameters::PAPER.coefficients().expect("valid");
+        let ranges = &Ranges { speed: 1000.0, current: 25.0, current_command: 20.0 };
+        let age = 15.0 / 32.0 * timing.period();
+        DriveForm::new(config, &Setting { motor: &motor, timing: &timing, age, ranges })
+    }
+
+    fn measured(advance: f32, current: f32) -> Measured<f32> {
+        Measured { advance, extra_age: 0.0, speed: 0.0, current, bus_voltage: 24.0 }
+    }
+
+    #[test]
+    fn one_bandwidth_gives_all() {
+        let config = DriveFormConfig::new(1170.0, 0.3, 2.5);
+        for (derived, expected) in [
+            (config.observer_bandwidth, 1170.0),
+            (config.speed_bandwidth, 702.0),
+            (config.current_bandwidth, 4680.0),
+            (config.voltage_bandwidth, 819.0),
+            (config.output_bandwidth, 7020.0),
+        ] {
+            assert!((derived / expected - 1.0).abs() < 1e-6, "{derived} is not {expected}");
+        }
+        assert_eq!(config.memory, Memory::Observer);
+        assert_eq!(config.with_memory(Memory::Integral).memory, Memory::Integral);
+    }
+
+    #[test]
+    fn bandwidth_for_a_ripple_follows_the_fourth_root_and_its_limits() {
+        let calibration = |counts_per_turn| Calibration {
+            highest_code: 4095,
+            current_per_code: 0.01,
+            current_zero: 2048.0,
+            bus_voltage_per_code: 0.0075,
+            counts_per_turn,
+            reads: crate::sense::Reads::All,
+        };
+        let of = |ripple: f32, counts: i32| {
+            bandwidth_for_ripple(&MotorParameters::PAPER, &TIMING, &calibration(counts), ripple)
+        };
+        // 0.4·(J·h/(Kb·Bd))·q·wo⁴·h at 1170 rad/s: Bd = (1 − e^(−1/3))/0.7 A/V.
+        let held = (1.0 - (-1.0_f64 / 3.0).exp()) / 0.7;
+        let ripple = 0.4 * 7.95e-5 * 5e-5 / (59e-3 * held) * core::f64::consts::TAU / 4096.0
+            * 1170_f64.powi(4)
+            * 5e-5;
+        assert!(
+            (of(ripple as f32, 4096) / 1170.0 - 1.0).abs() < 1e-4,
+            "{}",
+            of(ripple as f32, 4096)
+        );
+        assert_eq!(of(ripple as f32, -4096), of(ripple as f32, 4096));
+        let ratio = of(2.0 * ripple as f32, 4096) / of(ripple as f32, 4096);
+        assert!((ratio - 2_f32.powf(0.25)).abs() < 1e-4, "{ratio}");
+        assert!(
+            (of(1e-9, 4096) / 600.0 - 1.0).abs() < 1e-5
+                && (of(1e3, 4096) / 2000.0 - 1.0).abs() < 1e-5
+        );
+    }
+
+    #[test]
+    fn estimates_stay_within_their_authority_and_the_command_within_its_limit() {
+        // Pulled about for long in every direction, beyond what any motor does.
+        for memory in [Memory::Observer, Memory::Integral] {
+            let mut form = built(&GOOD.with_memory(memory), TIMING).expect("valid");
+            let k1 = 0.3 / 7.95e-5;
+            let (layer1, layer2) = (form.speed_limit, form.current_limit);
+            let mut largest = [0.0_f32; 3];
+            for step in 0..40_000_u32 {
+                let phase = step / 5000;
+                let (advance, current, acting) = match phase % 4 {
+                    0 => (0.05, 25.0, -24.0),
+                    1 => (-0.05, -25.0, 24.0),
+                    2 => (0.05, -25.0, 24.0),
+                    _ => (0.0, 25.0, 0.0),
+                };
+                let reference = Reference::constant(if phase % 2 == 0 { 1000.0 } else { -1000.0 });
+                form.step((advance, 0.0), current, &reference, acting);
+                let signals = *form.signals();
+                assert!(signals.disturbance.abs() <= k1 * 1.000_01, "{signals:?}");
+                let [first, second] = form.sliding_variables();
+                assert!(first.abs() <= layer1 && second.abs() <= layer2, "{first}, {second}");
+                // z2 = a2·(î⁺ − i*), and î⁺ is bounded by what came in: i* is within ±20 A.
+                let command = form.predicted_current - signals.z2 / form.a2;
+                assert!(command.abs() <= 20.001, "{command}");
+                let lacking = 2.5 * form.voltage_injection.value(second);
+                largest[0] = largest[0].max(signals.disturbance.abs() / k1);
+                largest[1] = largest[1].max(lacking.abs());
+                largest[2] = largest[2].max(command.abs());
+            }
+            // They get there: tanh 3 is 0.995.
+            assert!((0.99..1.001).contains(&largest[0]), "{largest:?}");
+            assert!((2.47..2.501).contains(&largest[1]), "{largest:?}");
+            assert!((19.99..20.01).contains(&largest[2]), "{largest:?}");
+        }
+    }
+
+    #[test]
+    fn steps_beyond_authority_are_counted_and_forgotten() {
+        let mut form = built(&GOOD, TIMING).expect("valid");
+        let reference = Reference::constant(60.0);
+        // 20 A and no motion.
+        let stall = |form: &mut DriveForm<f32>| form.step((0.0, 0.0), 20.0, &reference, 14.0);
+        for _ in 0..200 {
+            stall(&mut form);
+        }
+        let counted = form.exhausted();
+        assert!((100..200).contains(&counted), "{counted}");
+        stall(&mut form);
+        assert_eq!(form.exhausted(), counted + 1);
+        // No nearer to 60 rad/s than before.
+        assert!(form.stuck());
+        assert_eq!(form.exhausted(), 0);
+        for _ in 0..10 {
+            stall(&mut form);
+        }
+        assert_eq!(form.exhausted(), 10);
+        // With the bridge off nothing is counted.
+        form.follow(&measured(0.0, 0.0));
+        assert_eq!(form.exhausted(), 0);
+        // Nor where no current flows and nothing moves.
+        for _ in 0..400 {
+            form.follow(&measured(0.0, 0.0));
+        }
+        form.start(&measured(0.0, 0.0), &Reference::constant(0.0));
+        for _ in 0..400 {
+            form.step((0.0, 0.0), 0.0, &Reference::constant(0.0), 0.0);
+        }
+        assert_eq!(form.exhausted(), 0);
+    }
+
+    #[test]
+    fn more_inertia_than_the_model_has_is_not_stuck() {
+        // 20 A and a fifth of the model's acceleration: beyond authority for 30 ms, and 89 rad/s nearer.
+        let mut form = built(&GOOD, TIMING).expect("valid");
+        let reference = Reference::constant(300.0);
+        let acceleration = 0.2 * 742.14 * 20.0;
+        for step in 0..600 {
+            let advance = acceleration * (step as f32 + 0.5) * 5e-5 * 5e-5;
+            form.step((advance, 0.0), 20.0, &reference, 14.0);
+        }
+        assert!(form.exhausted() > 500, "{}", form.exhausted());
+        assert!(!form.stuck());
+    }
+
+    #[test]
+    fn refusals_name_the_field() {
+        let nan = f32::NAN;
+        let cases = [
+            (DriveFormConfig { observer_bandwidth: 0.0, ..GOOD }, "control.observer_bandwidth"),
+            (DriveFormConfig { observer_bandwidth: 2601.0, ..GOOD }, "control.observer_bandwidth"),
+            (DriveFormConfig { observer_bandwidth: nan, ..GOOD }, "control.observer_bandwidth"),
+            (DriveFormConfig { speed_bandwidth: -1.0, ..GOOD }, "control.speed_bandwidth"),
+            (DriveFormConfig { speed_bandwidth: 820.0, ..GOOD }, "control.speed_bandwidth"),
+            (
+                DriveFormConfig { observer_bandwidth: 2600.0, speed_bandwidth: 1821.0, ..GOOD },
+                "control.speed_bandwidth",
+            ),
+            (DriveFormConfig { current_bandwidth: 0.0, ..GOOD }, "control.current_bandwidth"),
+            (DriveFormConfig { current_bandwidth: 20_001.0, ..GOOD }, "control.current_bandwidth"),
+            (DriveFormConfig { voltage_bandwidth: nan, ..GOOD }, "control.voltage_bandwidth"),
+            (DriveFormConfig { voltage_bandwidth: 4001.0, ..GOOD }, "control.voltage_bandwidth"),
+            (DriveFormConfig { output_bandwidth: 0.0, ..GOOD }, "control.output_bandwidth"),
+            (DriveFormConfig { output_bandwidth: 2.1e5, ..GOOD }, "control.output_bandwidth"),
+            (DriveFormConfig { load_torque: 0.0, ..GOOD }, "control.load_torque"),
+            (DriveFormConfig { load_torque: 1e6, ..GOOD }, "control.load_torque"),
+            (DriveFormConfig { voltage_reserve: -2.5, ..GOOD }, "control.voltage_reserve"),
+            (DriveFormConfig { voltage_reserve: nan, ..GOOD }, "control.voltage_reserve"),
+        ];
+        for (config, field) in cases {
+            let error = built(&config, TIMING).expect_err(field);
+            assert_eq!(error.field, field, "{config:?}");
+        }
+        let at_once = Timing { delay: false, ..TIMING };
+        assert_eq!(built(&GOOD, at_once).expect_err("no delay").field, "timing.delay");
+        // At the ends of the ranges all is well.
+        let fastest = DriveFormConfig {
+            observer_bandwidth: 2600.0,
+            speed_bandwidth: 1820.0,
+            current_bandwidth: 20_000.0,
+            voltage_bandwidth: 4000.0,
+            output_bandwidth: 2e5,
+            ..GOOD
+        };
+        assert!(built(&fastest, TIMING).is_ok());
     }
 }
