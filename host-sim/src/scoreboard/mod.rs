@@ -32,7 +32,7 @@ use serde::Serialize;
 /// What to do.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// In a minute rather than ten: shorter searches, and none for other motors.
+    /// In a minute rather than some five: shorter searches, and none for other motors.
     pub quick: bool,
     /// Seeds that every case is played with.
     pub seeds: u64,
@@ -40,8 +40,9 @@ pub struct Options {
     pub case: Option<String>,
 }
 
-/// The voltage ripple that all are set to in the load-step trial (V rms about the mean): a five-thousandth of the bus.
-pub const MATCHED_RIPPLE: f64 = 5e-3;
+/// The voltage ripple that all are set to in the load-step trial (V rms about the mean). By the book PI and LADRC do not come below
+/// some 6 mV with the paper's motor, of which noise of the current makes most.
+pub const MATCHED_RIPPLE: f64 = 10e-3;
 
 /// The dip at which the targets ask for ratios (rad/s).
 pub const TARGET_DIP: f64 = 1.0;
@@ -404,7 +405,7 @@ fn search_all(quick: bool, progress: &dyn Fn(u64) -> ProgressBar) -> Vec<RigFron
     let (effort, on_motors) = if quick {
         (Effort { first: 64, then: 96 }, &Machine::ALL[..1])
     } else {
-        (Effort { first: 400, then: 1200 }, &Machine::ALL[..])
+        (Effort { first: 240, then: 560 }, &Machine::ALL[..])
     };
     let reference = [4096, 1024].into_iter().flat_map(|counts| {
         [ReadsName::All, ReadsName::Last].map(|reads| Rig { counts, reads, ..Rig::REFERENCE })
@@ -513,7 +514,7 @@ fn front_target(fronts: &RigFronts, family: Family, measure: Measure) -> Target 
         .fold((f64::INFINITY, 0.0_f64), |(least, most), ratio| (least.min(ratio), most.max(ratio)));
     Target {
         asked: format!(
-            "{}, {} counts, 16 reads: front below {}'s in {}",
+            "{}, {} counts, 16 reads: front below that of {} in {}",
             fronts.motor,
             fronts.counts,
             family.name(),
