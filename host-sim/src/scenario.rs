@@ -344,6 +344,8 @@ pub struct Initial {
     pub speed: f64,
     /// Armature current (A).
     pub current: f64,
+    /// When the drive is armed (s). Until then the bridge is off and the drive follows the motor.
+    pub armed_after: f64,
 }
 
 impl Initial {
@@ -577,6 +579,7 @@ impl Scenario {
         ] {
             rule(value.abs() <= limit, field, "must be within the drive's limits", value)?;
         }
+        non_negative("initial.armed_after", self.initial.armed_after)?;
         check_steps("reference.steps", &self.reference.steps, |field, speed| {
             let holds = speed.abs() <= self.limits.speed;
             rule(holds, field, "must be within ±limits.speed", speed)
@@ -746,6 +749,11 @@ impl Scenario {
         replace(&mut config.voltage_bandwidth, self.tuning.voltage_bandwidth);
         replace(&mut config.output_bandwidth, self.tuning.output_bandwidth);
         config
+    }
+
+    /// Number of PWM periods before the drive is armed.
+    pub fn idle_periods(&self) -> u64 {
+        (self.initial.armed_after * self.timing.rate).round() as u64
     }
 
     /// Number of PWM periods that are played.
