@@ -235,9 +235,20 @@ fn grids(board: &Scoreboard) -> Vec<Grid> {
     grids
 }
 
+/// What is to be known of the targets that are not met.
+const WHY: &str = "Where the ripple about the mean falls short of its target while the voltage step does not: controllers of \
+                   equal dip have about the same bandwidth, and follow what is slow in the encoder's error alike; they \
+                   differ in how much of what is fast they pass on, which is the voltage step. Tunings at a dip are those of \
+                   least ripple, so that in recovery and steady error a peer may be ahead by a little that it paid for in \
+                   ripple. Searches are stochastic: differences below a tenth mean nothing.";
+
 /// The tables, for the terminal.
 pub fn text(board: &Scoreboard) -> String {
-    grids(board).iter().map(Grid::text).collect::<Vec<_>>().join("\n")
+    let mut parts: Vec<String> = grids(board).iter().map(Grid::text).collect();
+    if !board.targets.is_empty() {
+        parts.push(format!("{WHY}\n"));
+    }
+    parts.join("\n")
 }
 
 fn color(family: Family) -> RGBColor {
@@ -305,6 +316,7 @@ pub fn html(board: &Scoreboard) -> Result<String> {
                      rms of its change from one period to the next; both are geometric means over eight speeds."
                 }
                 ul { @for contender in Contender::ALL { li { b { (contender.name()) } ": " (contender.rule()) } } }
+                @if !board.targets.is_empty() { p { (WHY) } }
                 @for grid in grids(board).into_iter().rev() { (grid.html()) }
                 @if !plots.is_empty() {
                     h2 { "Fronts of dip over ripple, of the tunings that are stable with every parameter error and recover within 12 ms" }
