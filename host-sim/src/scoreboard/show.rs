@@ -208,9 +208,10 @@ fn tuning_grid(fronts: &[RigFronts]) -> Grid {
     }
 }
 
-fn target_grid(targets: &[Target]) -> Grid {
+fn target_grid(targets: &[Target], quick: bool) -> Grid {
     let row = |target: &Target| {
         let verdict = match target.met {
+            Some(true) if quick => "met, but the search was short",
             Some(true) => "met",
             Some(false) => "NOT met",
             None => "cannot be told",
@@ -230,17 +231,15 @@ fn grids(board: &Scoreboard) -> Vec<Grid> {
     if !board.fronts.is_empty() {
         grids.extend(Measure::ALL.map(|measure| front_grid(&board.fronts, measure)));
         grids.push(tuning_grid(&board.fronts));
-        grids.push(target_grid(&board.targets));
+        grids.push(target_grid(&board.targets, board.quick));
     }
     grids
 }
 
 /// What is to be known of the targets that are not met.
-const WHY: &str = "Where the ripple about the mean falls short of its target while the voltage step does not: controllers of \
-                   equal dip have about the same bandwidth, and follow what is slow in the encoder's error alike; they \
-                   differ in how much of what is fast they pass on, which is the voltage step. Tunings at a dip are those of \
-                   least ripple, so that in recovery and steady error a peer may be ahead by a little that it paid for in \
-                   ripple. Searches are stochastic: differences below a tenth mean nothing.";
+const WHY: &str = "A longer search can only make a peer better: what is not met stays so, what is met holds against the tunings \
+                   that were found. One seed was searched. Tunings at a dip are those of least ripple that dip by it, give or \
+                   take a fiftieth; peak currents count as equal within a fiftieth. Why a target is missed is not measured here.";
 
 /// The tables, for the terminal.
 pub fn text(board: &Scoreboard) -> String {
