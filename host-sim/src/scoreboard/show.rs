@@ -208,9 +208,10 @@ fn tuning_grid(fronts: &[RigFronts]) -> Grid {
     }
 }
 
-fn target_grid(targets: &[Target]) -> Grid {
+fn target_grid(targets: &[Target], quick: bool) -> Grid {
     let row = |target: &Target| {
         let verdict = match target.met {
+            Some(true) if quick => "met, but the search was short",
             Some(true) => "met",
             Some(false) => "NOT met",
             None => "cannot be told",
@@ -230,14 +231,23 @@ fn grids(board: &Scoreboard) -> Vec<Grid> {
     if !board.fronts.is_empty() {
         grids.extend(Measure::ALL.map(|measure| front_grid(&board.fronts, measure)));
         grids.push(tuning_grid(&board.fronts));
-        grids.push(target_grid(&board.targets));
+        grids.push(target_grid(&board.targets, board.quick));
     }
     grids
 }
 
+/// What is to be known of the targets that are not met.
+const WHY: &str = "A longer search can only make a peer better: what is not met stays so, what is met holds against the tunings \
+                   that were found. One seed was searched. Tunings at a dip are those of least ripple that dip by it, give or \
+                   take a fiftieth; peak currents count as equal within a fiftieth. Why a target is missed is not measured here.";
+
 /// The tables, for the terminal.
 pub fn text(board: &Scoreboard) -> String {
-    grids(board).iter().map(Grid::text).collect::<Vec<_>>().join("\n")
+    let mut parts: Vec<String> = grids(board).iter().map(Grid::text).collect();
+    if !board.targets.is_empty() {
+        parts.push(format!("{WHY}\n"));
+    }
+    parts.join("\n")
 }
 
 fn color(family: Family) -> RGBColor {
@@ -305,6 +315,7 @@ pub fn html(board: &Scoreboard) -> Result<String> {
                      rms of its change from one period to the next; both are geometric means over eight speeds."
                 }
                 ul { @for contender in Contender::ALL { li { b { (contender.name()) } ": " (contender.rule()) } } }
+                @if !board.targets.is_empty() { p { (WHY) } }
                 @for grid in grids(board).into_iter().rev() { (grid.html()) }
                 @if !plots.is_empty() {
                     h2 { "Fronts of dip over ripple, of the tunings that are stable with every parameter error and recover within 12 ms" }
