@@ -9,7 +9,7 @@ use crate::control::{ControlConfig, Controller, Decision, Ranges, Setting, Signa
 use crate::hal::{Board, BridgeCommand, Sample};
 use crate::math::Scalar;
 use crate::motor::MotorParameters;
-use crate::sense::{Measured, Sensing, Sensors};
+use crate::sense::{Measured, Rotation, Sensing, Sensors};
 use crate::trajectory::{Reference, Shape, Shaper};
 use serde::{Deserialize, Serialize};
 
@@ -188,7 +188,8 @@ impl<S: Scalar> ReadyController<S> {
         let setting = Setting {
             motor: &motor,
             timing,
-            age: config.sensors.age(timing.period()),
+            shaft: &config.sensors.shaft(timing.period()),
+            counts: config.sensors.counts(),
             ranges: &Ranges {
                 speed: limits.speed,
                 current: limits.current,
@@ -204,6 +205,7 @@ impl<S: Scalar> Drive<S> {
     pub fn new(config: &DriveConfig) -> Result<Self, ConfigError> {
         let DriveConfig { limits, timing, .. } = config;
         let ReadyController(controller) = ReadyController::new(config)?;
+        let shaft = config.sensors.shaft(timing.period());
         Ok(Self {
             mode: Mode::Off,
             driving: false,
@@ -217,7 +219,7 @@ impl<S: Scalar> Drive<S> {
             speed_limit: S::from_f32(limits.speed),
             // However slow the shaft, an edge between two samples' reads is a whole count, and noise may be another.
             advance_limit: S::from_f32(
-                2.0 * (limits.speed * timing.period() + config.sensors.resolution()),
+                2.0 * (limits.speed * timing.period() / shaft.unit.abs() + 1.0),
             ),
             current_limit: S::from_f32(limits.current),
             bus_min: S::from_f32(limits.bus_min),
@@ -325,8 +327,8 @@ impl<S: Scalar> Drive<S> {
     #[cold]
     fn start(&mut self, mut measured: Measured<S>) -> Option<Measured<S>> {
         // The first difference of counts is one to nothing.
-        if !self.seen && measured.advance.is_finite() {
-            measured.advance = S::ZERO;
+        if !self.seen && measured.rotation.advance.is_finite() {
+            measured.rotation.advance = S::ZERO;
         }
         self.seen = true;
         if self.mode != Mode::Running {
@@ -371,7 +373,7 @@ impl<S: Scalar> Drive<S> {
     /// Whether a sample is within the limits, but for the speed, which the controller tells.
     #[inline]
     fn limits_hold(&self, measured: &Measured<S>) -> bool {
-        measured.advance.abs() <= self.advance_limit
+        measured.rotation.advance.abs() <= self.advance_limit
             && measured.current.abs() <= self.current_limit
             && measured.bus_voltage >= self.bus_min
             && measured.bus_voltage <= self.bus_max
@@ -380,7 +382,7 @@ impl<S: Scalar> Drive<S> {
     /// Whether a sample is good to follow the motor by. Without a bus too: what matters is where the motor is when the drive is
     /// armed.
     fn can_follow(&self, measured: &Measured<S>) -> bool {
-        measured.advance.abs() <= self.advance_limit
+        measured.rotation.advance.abs() <= self.advance_limit
             && measured.current.abs() <= self.current_limit
             && measured.speed.abs() <= self.speed_limit
     }
@@ -388,7 +390,7 @@ impl<S: Scalar> Drive<S> {
     /// What is wrong with a sample that is not within the limits.
     #[cold]
     fn fault_in(&self, measured: Measured<S>) -> Fault {
-        let Measured { advance, current, bus_voltage, .. } = measured;
+        let Measured { rotation: Rotation { advance, .. }, current, bus_voltage, .. } = measured;
         if ![advance, current, bus_voltage].iter().all(|value| value.is_finite()) {
             Fault::BadSample
         } else if current.abs() > self.current_limit {

@@ -1,8 +1,9 @@
 //! Shaft speed from the shaft's angle.
 
 use crate::config::{ConfigError, positive, require};
+use crate::hal::READS;
 use crate::math::{Scalar, exp_m1};
-use crate::sense::Measured;
+use crate::sense::{Measured, Rotation};
 use serde::{Deserialize, Serialize};
 
 /// Where a controller that wants a speed has it from.
@@ -40,15 +41,16 @@ pub(crate) struct Difference<S: Scalar> {
 }
 
 impl<S: Scalar> SpeedEstimator<S> {
-    /// For a sampling period (s) and angles that are `age` old (s).
-    pub fn new(source: &SpeedSource, period: f32, age: f32) -> Result<Self, ConfigError> {
+    /// For an encoder, or exact sensors.
+    pub fn new(source: &SpeedSource, shaft: &Shaft) -> Result<Self, ConfigError> {
+        let period = shaft.period;
         match *source {
             SpeedSource::Exact => Ok(Self::Exact),
             SpeedSource::Difference { bandwidth } => {
                 let share = -exp_m1(-checked(bandwidth, period)? * period);
                 Ok(Self::Difference(Difference {
                     speed: S::ZERO,
-                    rate: S::gain(share / period),
+                    rate: S::gain(share / period * shaft.unit),
                     keep: S::gain(1.0 - share),
                 }))
             }
@@ -56,7 +58,7 @@ impl<S: Scalar> SpeedEstimator<S> {
                 let share = -exp_m1(-checked(bandwidth, period)? * period);
                 // Both poles at 1 − share.
                 let gains = [share * (2.0 - share), share * share / period];
-                Ok(Self::Pll { observer: AngleObserver::new(gains, 0.0, period, age), fed })
+                Ok(Self::Pll { observer: AngleObserver::new(gains, 0.0, shaft), fed })
             }
         }
     }
@@ -76,12 +78,13 @@ impl<S: Scalar> SpeedEstimator<S> {
         match self {
             Self::Exact => measured.speed,
             Self::Difference(Difference { speed, rate, keep }) => {
-                *speed = S::combine([(*rate, measured.advance), (*keep, *speed)]);
+                *speed = S::combine([(*rate, measured.rotation.advance), (*keep, *speed)]);
                 *speed
             }
             Self::Pll { observer, fed } => {
                 let acceleration = if *fed { acceleration } else { S::ZERO };
-                observer.step(measured.advance, measured.extra_age, acceleration);
+                let innovation = observer.innovation(&measured.rotation, acceleration);
+                observer.correct(innovation);
                 observer.speed
             }
         }
@@ -98,40 +101,74 @@ fn checked(bandwidth: f32, period: f32) -> Result<f32, ConfigError> {
     )
 }
 
+/// What is known of a shaft's angle.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Shaft {
+    /// Sampling period (s).
+    pub period: f32,
+    /// How long before a sample the mean of its reads lies when they are not shifted (s).
+    pub least_age: f32,
+    /// How long it lies before it in the mean (s).
+    pub age: f32,
+    /// The angle of a unit of [`Rotation`] (rad).
+    pub unit: f32,
+}
+
 /// Observer of the angle and the speed, for encoder reads that are a known time old.
 ///
-/// It keeps no angle, which would grow until an f32 could not resolve it, but only the *lead* of its angle over the
-/// reads': what the shaft turns is taken off it in every period.
+/// It keeps no angle, which would grow until an f32 could not resolve it, but only the *lead* of its angle over the mean of
+/// the reads: what the shaft turns is taken off it in every period.
 #[derive(Clone, Debug)]
 #[repr(C)]
 pub(crate) struct AngleObserver<S: Scalar> {
     /// Estimated speed (rad/s).
     pub speed: S,
-    /// Estimated angle less that of the reads (rad).
+    /// Estimated angle less that of the reads' mean (in units of the rotation, as all angles here).
     lead: S,
+    /// Angle per speed over the period, and per acceleration.
     period: S::Gain,
     half_period_squared: S::Gain,
+    /// Speed per acceleration over the period (s).
+    time: S::Gain,
     age: S::Gain,
     half_age_squared: S::Gain,
+    /// Angle per speed between two reads, and per acceleration that was less then.
+    distance: S::Gain,
+    distance_back: S::Gain,
+    /// Share of the mean's innovation in that of the reads.
+    share: S,
+    /// Speed below which the mean's counts alone (rad/s).
+    slow: S,
+    half: S,
+    per_read: S::Gain,
     angle_gain: S::Gain,
     speed_gain: S::Gain,
 }
 
 impl<S: Scalar> AngleObserver<S> {
     /// From the gains of the angle (1) and the speed (1/s) for reads of no age, and that of the acceleration (1/s²) of an
-    /// observer around this one; the period and the reads' true age (s).
+    /// observer around this one.
     ///
     /// For reads that are τ old the same poles need the gains shifted by τ along the model: g1 + τ·g2 + τ²/2·g3, g2 + τ·g3, g3.
-    pub fn new([g1, g2]: [f32; 2], g3: f32, period: f32, age: f32) -> Self {
+    pub fn new([g1, g2]: [f32; 2], g3: f32, shaft: &Shaft) -> Self {
+        let &Shaft { period, least_age, age, unit } = shaft;
+        let distance = period / READS as f32;
         Self {
             speed: S::ZERO,
             lead: S::ZERO,
-            period: S::gain(period),
-            half_period_squared: S::gain(0.5 * period * period),
-            age: S::gain(age),
-            half_age_squared: S::gain(-0.5 * age * age),
+            period: S::gain(period / unit),
+            half_period_squared: S::gain(0.5 * period * period / unit),
+            time: S::gain(period),
+            age: S::gain(least_age / unit),
+            half_age_squared: S::gain(-0.5 * age * age / unit),
+            distance: S::gain(distance / unit),
+            distance_back: S::gain(-0.5 * period * distance / unit),
+            share: S::from_f32(0.1),
+            slow: S::from_f32(0.05 * unit.abs() / period),
+            half: S::from_f32(0.5),
+            per_read: S::gain(1.0 / READS as f32),
             angle_gain: S::gain(g1 + age * (g2 + 0.5 * age * g3)),
-            speed_gain: S::gain(g2 + age * g3),
+            speed_gain: S::gain((g2 + age * g3) * unit),
         }
     }
 
@@ -141,16 +178,55 @@ impl<S: Scalar> AngleObserver<S> {
         self.lead = S::combine([(self.age, speed)]);
     }
 
-    /// On to the next sample, with the angle that the reads advanced (rad), how much more than usual they lie back (s), and the
-    /// mean acceleration since (rad/s²). Gives the correction of the speed (rad/s).
+    /// On to the next sample, with the mean acceleration since (rad/s²).
     #[inline]
-    pub fn step(&mut self, advance: S, extra_age: S, acceleration: S) -> S {
+    fn predict(&mut self, rotation: &Rotation<S>, acceleration: S) {
         let turned =
             S::combine([(self.period, self.speed), (self.half_period_squared, acceleration)]);
-        self.lead = self.lead + (turned - advance);
-        self.speed = self.speed + S::combine([(self.period, acceleration)]);
+        self.lead = self.lead + (turned - rotation.advance);
+        self.speed = self.speed + S::combine([(self.time, acceleration)]);
+    }
+
+    /// On to the next sample: by how much the mean of its reads is ahead of what it should be.
+    #[inline]
+    pub fn innovation(&mut self, rotation: &Rotation<S>, acceleration: S) -> S {
+        self.predict(rotation, acceleration);
+        self.innovation_of_mean(self.distance(acceleration), rotation, acceleration)
+    }
+
+    /// The same, but what 16 reads should be is what a counter shows at the estimated angles: rounded down as they are. A count
+    /// that is where it should be then says nothing, however coarse, and only edges that come early or late correct.
+    ///
+    /// A tenth of the plain innovation keeps the estimate from wandering within a count; where there is no edge for many
+    /// periods, all of it.
+    #[inline]
+    pub fn innovation_of_counts(&mut self, rotation: &Rotation<S>, acceleration: S) -> S {
+        self.predict(rotation, acceleration);
+        let distance = self.distance(acceleration);
+        let at_last_read = self.lead + rotation.behind - rotation.shift * distance;
+        let counted = S::counted(at_last_read, distance);
+        let of_counts = rotation.behind - S::combine([(self.per_read, counted)]);
+        // A count is the angle from its edge to the next: half a count more in the mean.
+        let of_mean = self.innovation_of_mean(distance, rotation, acceleration) + self.half;
+        let share = if self.speed.abs() < self.slow { S::ONE } else { self.share };
+        of_counts + share * (of_mean - of_counts)
+    }
+
+    /// What the shaft turned from one read to the next.
+    #[inline]
+    fn distance(&self, acceleration: S) -> S {
+        S::combine([(self.distance, self.speed), (self.distance_back, acceleration)])
+    }
+
+    #[inline]
+    fn innovation_of_mean(&self, distance: S, rotation: &Rotation<S>, acceleration: S) -> S {
         let expected = S::combine([(self.age, self.speed), (self.half_age_squared, acceleration)]);
-        let innovation = expected + extra_age * self.speed - self.lead;
+        expected + rotation.shift * distance - self.lead
+    }
+
+    /// Takes a share of the innovation into the estimates. Gives the correction of the speed (rad/s).
+    #[inline]
+    pub fn correct(&mut self, innovation: S) -> S {
         self.lead = self.lead + S::combine([(self.angle_gain, innovation)]);
         let correction = S::combine([(self.speed_gain, innovation)]);
         self.speed = self.speed + correction;
@@ -164,8 +240,13 @@ mod tests {
 
     const PERIOD: f32 = 5e-5;
 
+    fn shaft(age: f32) -> Shaft {
+        Shaft { period: PERIOD, least_age: age, age, unit: 1.0 }
+    }
+
     fn measured(advance: f32) -> Measured<f32> {
-        Measured { advance, extra_age: 0.0, speed: 0.0, current: 0.0, bus_voltage: 24.0 }
+        let rotation = Rotation { advance, behind: 0.0, shift: 0.0 };
+        Measured { rotation, speed: 0.0, current: 0.0, bus_voltage: 24.0 }
     }
 
     #[test]
@@ -177,7 +258,7 @@ mod tests {
         ] {
             for age in [0.0, 15.0 / 32.0 * PERIOD] {
                 let mut estimator =
-                    SpeedEstimator::<f32>::new(&source, PERIOD, age).expect("valid");
+                    SpeedEstimator::<f32>::new(&source, &shaft(age)).expect("valid");
                 let mut speed = 0.0;
                 for _ in 0..2000 {
                     speed = estimator.step(&measured(100.0 * PERIOD), 0.0);
@@ -194,7 +275,7 @@ mod tests {
         for (fed, lag) in [(false, 2.0 * acceleration / 500.0), (true, 0.0)] {
             let age = 15.0 / 32.0 * PERIOD;
             let source = SpeedSource::Pll { bandwidth: 500.0, fed };
-            let mut estimator = SpeedEstimator::<f32>::new(&source, PERIOD, age).expect("valid");
+            let mut estimator = SpeedEstimator::<f32>::new(&source, &shaft(age)).expect("valid");
             let angle = |time: f64| 0.5 * f64::from(acceleration) * time * time;
             let mut error = 0.0;
             for period in 1..2000 {
@@ -211,7 +292,7 @@ mod tests {
     fn bandwidths_are_checked() {
         for bandwidth in [0.0, f32::NAN, 30_000.0] {
             let source = SpeedSource::Pll { bandwidth, fed: true };
-            let error = SpeedEstimator::<f32>::new(&source, PERIOD, 0.0).expect_err("refused");
+            let error = SpeedEstimator::<f32>::new(&source, &shaft(0.0)).expect_err("refused");
             assert_eq!(error.field, "control.speed.bandwidth");
         }
     }

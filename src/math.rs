@@ -55,6 +55,9 @@ pub trait Scalar:
     /// positions beyond the table to the last.
     fn segment(self) -> usize;
 
+    /// Σ ⌊position − j·step⌋ for j = 0 … 15: what a counter showed at 16 equal distances back. Both within ±2¹⁵ over all.
+    fn counted(position: Self, step: Self) -> Self;
+
     /// Whether this is a number that arithmetic can go on with (neither NaN nor infinite).
     fn is_finite(self) -> bool;
 
@@ -112,6 +115,14 @@ impl Scalar for f32 {
     #[inline]
     fn segment(self) -> usize {
         (self as u32 >> 27) as usize
+    }
+
+    /// In 16.16 fixed point: the sum of rounded-down positions is exact whatever their distance.
+    #[inline]
+    fn counted(position: f32, step: f32) -> f32 {
+        let [position, step] = [position, step].map(|value| (value * 65536.0) as i32);
+        let place = |j: i32| position.wrapping_sub(step.wrapping_mul(j)) >> 16;
+        (0..16).fold(0, |sum: i32, j| sum.wrapping_add(place(j))) as f32
     }
 
     fn is_finite(self) -> bool {
@@ -180,6 +191,18 @@ mod tests {
         assert_eq!((-3.0 * f32::SEGMENT).segment(), 0);
         assert_eq!((31.5 * f32::SEGMENT).segment(), 31);
         assert_eq!(1e30.segment(), 31);
+    }
+
+    #[test]
+    fn counted_is_the_sum_of_what_a_counter_showed() {
+        assert_eq!(f32::counted(0.5, 0.0), 0.0);
+        assert_eq!(f32::counted(-0.5, 0.0), -16.0);
+        // 3.25, 2.75, 2.25 … −4.25.
+        assert_eq!(f32::counted(3.25, 0.5), (3 + 2 * (2 + 1 - 1 - 2 - 3 - 4) - 5) as f32);
+        assert_eq!(
+            f32::counted(-3.25, -0.5),
+            -4.0 - 3.0 - 3.0 - 2.0 - 2.0 - 1.0 - 1.0 + 2.0 * (1.0 + 2.0 + 3.0) + 4.0
+        );
     }
 
     #[test]

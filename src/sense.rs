@@ -1,6 +1,7 @@
 //! From a board's sample to SI units: the only place that knows codes and counts.
 
 use crate::config::{ConfigError, positive, require};
+use crate::estimate::Shaft;
 use crate::hal::{Codes, Exact, READS, Sample};
 use crate::math::Scalar;
 use serde::{Deserialize, Serialize};
@@ -64,6 +65,26 @@ impl Calibration {
 }
 
 impl Sensors {
+    /// What is known of the shaft's angle, for a sampling period (s).
+    pub(crate) fn shaft(&self, period: f32) -> Shaft {
+        let (least_age, age, unit) = match self {
+            Self::Exact => (0.0, 0.0, 1.0),
+            Self::Codes(calibration) => {
+                let unshifted = match calibration.reads {
+                    Reads::Shifted => Calibration { reads: Reads::All, ..*calibration },
+                    _ => *calibration,
+                };
+                (unshifted.age(period), calibration.age(period), calibration.count())
+            }
+        };
+        Shaft { period, least_age, age, unit }
+    }
+
+    /// Whether a sample holds 16 reads of a counter that count.
+    pub(crate) fn counts(&self) -> bool {
+        matches!(self, Self::Codes(calibration) if calibration.reads != Reads::Last)
+    }
+
     /// How long before the sample the angle lies (s), for a sampling period (s).
     pub fn age(&self, period: f32) -> f32 {
         match self {
@@ -71,23 +92,24 @@ impl Sensors {
             Self::Codes(calibration) => calibration.age(period),
         }
     }
+}
 
-    /// The smallest angle that they tell (rad).
-    pub(crate) fn resolution(&self) -> f32 {
-        match self {
-            Self::Exact => 0.0,
-            Self::Codes(calibration) => calibration.count().abs(),
-        }
-    }
+/// How the shaft turned, in counts of the encoder, or in rad from exact sensors.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rotation<S> {
+    /// From the mean of the last sample's reads to the mean of this one's.
+    pub advance: S,
+    /// From this sample's last read to the mean of its reads.
+    pub behind: S,
+    /// How much earlier than usual the reads were, in distances of two reads, from 0 to 1.
+    pub shift: S,
 }
 
 /// A sample in SI units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Measured<S> {
-    /// Angle turned from the last sample's reads to this one's (rad).
-    pub advance: S,
-    /// How much more than their mean age this sample's reads lie back (s).
-    pub extra_age: S,
+    /// How the shaft turned.
+    pub rotation: Rotation<S>,
     /// Shaft speed ω (rad/s), from exact sensors; zero from an encoder.
     pub speed: S,
     /// Armature current i (A).
@@ -111,12 +133,10 @@ struct Encoder<S: Scalar> {
     /// Sum of the last sample's reads that count.
     before: u16,
     reads: Reads,
-    /// Angle per unit of that sum (rad).
-    angle: S::Gain,
-    /// Time per unit of the shift (s).
-    shift: S::Gain,
-    /// Mean of what the shift adds to the age (s).
-    mean_shift: S,
+    /// Counts per unit of that sum.
+    per_read: S::Gain,
+    /// Distances of two reads per unit of the shift.
+    per_shift: S::Gain,
 }
 
 impl<S: Scalar> Sensing<S> {
@@ -166,19 +186,17 @@ impl<S: Scalar> Sensing<S> {
             "must be at most 1000 counts a period",
             speed,
         )?;
-        let distance = 1.0 / (rate * READS as f32);
-        let (reads, shift) = match calibration.reads {
-            Reads::All => (READS as f32, 0.0),
-            Reads::Shifted => (READS as f32, distance),
+        let (per_read, per_shift) = match calibration.reads {
+            Reads::All => (1.0 / READS as f32, 0.0),
+            Reads::Shifted => (1.0 / READS as f32, 1.0 / 256.0),
             Reads::Last => (1.0, 0.0),
         };
         Ok(Self {
             encoder: Some(Encoder {
                 before: 0,
                 reads: calibration.reads,
-                angle: S::gain(calibration.count() / reads),
-                shift: S::gain(shift / 256.0),
-                mean_shift: S::from_f32(0.5 * shift),
+                per_read: S::gain(per_read),
+                per_shift: S::gain(per_shift),
             }),
             current: S::gain(current_per_code),
             current_zero: S::from_f32(current_zero),
@@ -194,15 +212,15 @@ impl<S: Scalar> Sensing<S> {
                 let current = S::from_code(codes.current) - self.current_zero;
                 let bus_voltage = S::from_code(codes.bus_voltage);
                 Some(Measured {
-                    advance: encoder.advance(codes),
-                    extra_age: encoder.extra_age(codes),
+                    rotation: encoder.read(codes),
                     speed: S::ZERO,
                     current: S::combine([(self.current, current)]),
                     bus_voltage: S::combine([(self.bus_voltage, bus_voltage)]),
                 })
             }
             (&Sample::Exact(Exact { speed, advance, current, bus_voltage }), None) => {
-                Some(Measured { advance, extra_age: S::ZERO, speed, current, bus_voltage })
+                let rotation = Rotation { advance, behind: S::ZERO, shift: S::ZERO };
+                Some(Measured { rotation, speed, current, bus_voltage })
             }
             _ => None,
         }
@@ -212,21 +230,24 @@ impl<S: Scalar> Sensing<S> {
 impl<S: Scalar> Encoder<S> {
     /// Sums modulo 2¹⁶ differ by the true difference as long as that is below 2¹⁵, whatever has wrapped: no angle is kept.
     #[inline]
-    fn advance(&mut self, codes: &Codes) -> S {
-        let sum = match self.reads {
-            Reads::All | Reads::Shifted => {
-                codes.encoder.iter().fold(0, |sum: u16, read| sum.wrapping_add(*read))
-            }
-            Reads::Last => codes.encoder[READS - 1],
+    fn read(&mut self, codes: &Codes) -> Rotation<S> {
+        let last = codes.encoder[READS - 1];
+        let (sum, of_last) = match self.reads {
+            Reads::All | Reads::Shifted => (
+                codes.encoder.iter().fold(0, |sum: u16, read| sum.wrapping_add(*read)),
+                last.wrapping_mul(READS as u16),
+            ),
+            Reads::Last => (last, last),
         };
-        let difference = sum.wrapping_sub(self.before) as i16;
+        let counts =
+            |difference: u16| S::combine([(self.per_read, S::from_difference(difference as i16))]);
+        let rotation = Rotation {
+            advance: counts(sum.wrapping_sub(self.before)),
+            behind: counts(sum.wrapping_sub(of_last)),
+            shift: S::combine([(self.per_shift, S::from_code(codes.shift.into()))]),
+        };
         self.before = sum;
-        S::combine([(self.angle, S::from_difference(difference))])
-    }
-
-    #[inline]
-    fn extra_age(&self, codes: &Codes) -> S {
-        S::combine([(self.shift, S::from_code(codes.shift.into()))]) - self.mean_shift
+        rotation
     }
 }
 
@@ -258,7 +279,7 @@ mod tests {
     }
 
     fn advance(sensing: &mut Sensing<f32>, encoder: [u16; READS]) -> f32 {
-        sensing.read(&codes(encoder)).expect("codes").advance
+        sensing.read(&codes(encoder)).expect("codes").rotation.advance * COUNT
     }
 
     #[test]
@@ -362,7 +383,7 @@ mod tests {
             Sensing::<f32>::new(&Sensors::Exact, 1000.0, 20.0, 20_000.0).expect("valid");
         assert!(ideal.read(&codes([0; READS])).is_none());
         let measured = ideal.read(&Sample::Exact(exact)).expect("exact");
-        assert_eq!((measured.speed, measured.advance, measured.current), (1.0, 1e-4, 2.0));
+        assert_eq!((measured.speed, measured.rotation.advance, measured.current), (1.0, 1e-4, 2.0));
     }
 
     #[test]

@@ -82,6 +82,10 @@ impl Scalar for Double {
         (self.0 as u32 >> 27) as usize
     }
 
+    fn counted(position: Self, step: Self) -> Self {
+        Self((0..16).map(|j| (position.0 - f64::from(j) * step.0).floor()).sum())
+    }
+
     fn is_finite(self) -> bool {
         self.0.is_finite()
     }

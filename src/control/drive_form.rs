@@ -28,7 +28,7 @@ use crate::config::{ConfigError, positive, require};
 use crate::estimate::AngleObserver;
 use crate::math::{Scalar, atanh, exp_m1, sqrt};
 use crate::motor::{Coefficients, MotorParameters};
-use crate::sense::{Calibration, Measured};
+use crate::sense::{Calibration, Measured, Rotation};
 use crate::trajectory::Reference;
 use serde::{Deserialize, Serialize};
 
@@ -124,6 +124,8 @@ pub fn bandwidth_for_ripple(
 pub(crate) struct DriveForm<S: Scalar> {
     last: Signals<S>,
     observer: AngleObserver<S>,
+    /// Whether there are 16 reads of a counter to observe.
+    counts: bool,
     /// d̂ (rad/s²).
     disturbance: S,
     /// σ1 (rad/s).
@@ -191,7 +193,8 @@ const EXHAUSTED: f32 = 3.0;
 
 impl<S: Scalar> DriveForm<S> {
     pub fn new(config: &DriveFormConfig, setting: &Setting) -> Result<Self, ConfigError> {
-        let &Setting { motor, timing, age, ranges } = setting;
+        let &Setting { motor, timing, shaft, counts, ranges } = setting;
+        let age = shaft.age;
         let &Coefficients { a1, a2, a3, a4, inductance, inertia } = motor;
         let &DriveFormConfig {
             memory,
@@ -226,7 +229,7 @@ impl<S: Scalar> DriveForm<S> {
         positive("control.voltage_reserve", voltage_reserve)?;
 
         let [g1, g2, g3] = observer_gains(wo, h);
-        let observer = AngleObserver::new([g1, g2], g3, h, age);
+        let observer = AngleObserver::new([g1, g2], g3, shaft);
         let k1 = load_torque / inertia;
         // Where the injection is steepest it is the linear observer's: k1/ε1 = g3/g2, with the gains for the reads' age.
         let epsilon1 = k1 * (g2 + age * g3) / g3;
@@ -246,6 +249,7 @@ impl<S: Scalar> DriveForm<S> {
         Ok(Self {
             last: Signals::NONE,
             observer,
+            counts,
             disturbance: S::ZERO,
             speed_mismatch: S::ZERO,
             current_mismatch: S::ZERO,
@@ -295,11 +299,16 @@ impl<S: Scalar> DriveForm<S> {
 
     /// Runs the observer of angle, speed and disturbance.
     #[inline]
-    fn observe(&mut self, (advance, extra_age): (S, S), current: S, jump: S) {
+    fn observe(&mut self, rotation: &Rotation<S>, current: S, jump: S) {
         let both = self.current + current;
         let acceleration = S::combine([(self.half_a2, both), (self.minus_a1, self.observer.speed)])
             + self.disturbance;
-        let correction = self.observer.step(advance, extra_age, acceleration);
+        let innovation = if self.counts {
+            self.observer.innovation_of_counts(rotation, acceleration)
+        } else {
+            self.observer.innovation(rotation, acceleration)
+        };
+        let correction = self.observer.correct(innovation);
         let mismatch = self.speed_mismatch + correction - S::combine([(self.share, jump)]);
         self.speed_mismatch = mismatch.limited(self.speed_limit);
         let injection = self.disturbance_injection.value(self.speed_mismatch);
@@ -309,8 +318,7 @@ impl<S: Scalar> DriveForm<S> {
 
     /// With the bridge off the observer goes on, so that a start finds speed and load known.
     pub fn follow(&mut self, measured: &Measured<S>) -> S {
-        let angle = (measured.advance, measured.extra_age);
-        self.observe(angle, measured.current, S::ZERO);
+        self.observe(&measured.rotation, measured.current, S::ZERO);
         self.exhausted = 0;
         self.observer.speed
     }
@@ -348,8 +356,14 @@ impl<S: Scalar> DriveForm<S> {
 
     // Not inlined, for its instructions to be counted apart from its caller's.
     #[inline(never)]
-    pub fn step(&mut self, angle: (S, S), current: S, reference: &Reference<S>, acting: S) -> S {
-        self.observe(angle, current, reference.speed - self.predicted_reference);
+    pub fn step(
+        &mut self,
+        rotation: &Rotation<S>,
+        current: S,
+        reference: &Reference<S>,
+        acting: S,
+    ) -> S {
+        self.observe(rotation, current, reference.speed - self.predicted_reference);
         let speed = self.observer.speed;
         let disturbance = self.disturbance;
 
@@ -469,6 +483,7 @@ fn observer_gains(wo: f32, h: f32) -> [f32; 3] {
 mod tests {
     use super::*;
     use crate::control::Ranges;
+    use crate::estimate::Shaft;
 
     #[test]
     fn gains_place_the_observers_poles() {
@@ -520,12 +535,18 @@ mod tests {
     fn built(config: &DriveFormConfig, timing: Timing) -> Result<DriveForm<f32>, ConfigError> {
         let motor = MotorParameters::PAPER.coefficients().expect("valid");
         let ranges = &Ranges { speed: 1000.0, current: 25.0, current_command: 20.0 };
-        let age = 15.0 / 32.0 * timing.period();
-        DriveForm::new(config, &Setting { motor: &motor, timing: &timing, age, ranges })
+        // In rad, as from exact sensors.
+        let shaft = &Shaft { period: timing.period(), least_age: 0.0, age: 0.0, unit: 1.0 };
+        let setting = Setting { motor: &motor, timing: &timing, shaft, counts: false, ranges };
+        DriveForm::new(config, &setting)
+    }
+
+    fn turned(advance: f32) -> Rotation<f32> {
+        Rotation { advance, behind: 0.0, shift: 0.0 }
     }
 
     fn measured(advance: f32, current: f32) -> Measured<f32> {
-        Measured { advance, extra_age: 0.0, speed: 0.0, current, bus_voltage: 24.0 }
+        Measured { rotation: turned(advance), speed: 0.0, current, bus_voltage: 24.0 }
     }
 
     #[test]
@@ -593,7 +614,7 @@ mod tests {
                     _ => (0.0, 25.0, 0.0),
                 };
                 let reference = Reference::constant(if phase % 2 == 0 { 1000.0 } else { -1000.0 });
-                form.step((advance, 0.0), current, &reference, acting);
+                form.step(&turned(advance), current, &reference, acting);
                 let signals = *form.signals();
                 assert!(signals.disturbance.abs() <= k1 * 1.000_01, "{signals:?}");
                 let [first, second] = form.sliding_variables();
@@ -618,7 +639,7 @@ mod tests {
         let mut form = built(&GOOD, TIMING).expect("valid");
         let reference = Reference::constant(60.0);
         // 20 A and no motion.
-        let stall = |form: &mut DriveForm<f32>| form.step((0.0, 0.0), 20.0, &reference, 14.0);
+        let stall = |form: &mut DriveForm<f32>| form.step(&turned(0.0), 20.0, &reference, 14.0);
         for _ in 0..200 {
             stall(&mut form);
         }
@@ -642,7 +663,7 @@ mod tests {
         }
         form.start(&measured(0.0, 0.0), &Reference::constant(0.0));
         for _ in 0..400 {
-            form.step((0.0, 0.0), 0.0, &Reference::constant(0.0), 0.0);
+            form.step(&turned(0.0), 0.0, &Reference::constant(0.0), 0.0);
         }
         assert_eq!(form.exhausted(), 0);
     }
@@ -655,7 +676,7 @@ mod tests {
         let acceleration = 0.2 * 742.14 * 20.0;
         for step in 0..600 {
             let advance = acceleration * (step as f32 + 0.5) * 5e-5 * 5e-5;
-            form.step((advance, 0.0), 20.0, &reference, 14.0);
+            form.step(&turned(advance), 20.0, &reference, 14.0);
         }
         assert!(form.exhausted() > 500, "{}", form.exhausted());
         assert!(!form.stuck());

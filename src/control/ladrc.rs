@@ -129,11 +129,11 @@ impl<S: Scalar> Ladrc<S> {
     pub fn new(config: &LadrcConfig, setting: &Setting) -> Result<Self, ConfigError> {
         let &LadrcConfig { control_bandwidth, observer_bandwidth, current_bandwidth, speed } =
             config;
-        let &Setting { motor, timing, age, ranges } = setting;
+        let &Setting { motor, timing, shaft, ranges, .. } = setting;
         let period = timing.period();
         let current =
             CurrentLoop::new("control.ladrc.current_bandwidth", current_bandwidth, setting)?;
-        let estimator = SpeedEstimator::new(&speed, period, age)?;
+        let estimator = SpeedEstimator::new(&speed, shaft)?;
         positive("control.ladrc.control_bandwidth", control_bandwidth)?;
         require(
             control_bandwidth <= 0.6 * current_bandwidth,
@@ -152,7 +152,7 @@ impl<S: Scalar> Ladrc<S> {
         positive("control.ladrc.observer_bandwidth", observer_bandwidth)?;
         require(
             observer_bandwidth * period <= 0.5
-                && observer_bandwidth * lag(&speed, period, age) <= 0.6,
+                && observer_bandwidth * lag(&speed, period, shaft.age) <= 0.6,
             "control.ladrc.observer_bandwidth",
             "must be at most half the sampling rate and 0.6/(the speed estimate's lag)",
             observer_bandwidth,
@@ -231,6 +231,7 @@ mod tests {
     use crate::control::ControlConfig;
     use crate::control::pi::rig::*;
     use crate::motor::MotorParameters;
+    use crate::sense::Rotation;
     use proptest::prelude::*;
 
     const MOTOR: MotorParameters = MotorParameters::PAPER;
@@ -284,7 +285,13 @@ mod tests {
     fn friction_is_no_disturbance_but_is_taken_off() {
         let motor = MotorParameters { viscous_friction: 1e-4, ..MOTOR };
         let known = motor.coefficients().expect("valid");
-        let setting = Setting { motor: &known, timing: &TIMING, age: 0.0, ranges: &RANGES };
+        let setting = Setting {
+            motor: &known,
+            timing: &TIMING,
+            shaft: &SHAFT,
+            counts: false,
+            ranges: &RANGES,
+        };
         let ladrc = Ladrc::new(&config(400.0, SpeedSource::Exact), &setting).expect("valid");
         let mut rig = rig(config(400.0, SpeedSource::Exact), motor);
         rig.controller = crate::control::Controller::Ladrc(ladrc);
@@ -426,8 +433,7 @@ mod tests {
             let mut rig = rig(config(400.0, SpeedSource::Exact), MOTOR);
             for [speed, current, acting, advance] in samples {
                 let measured = Measured {
-                    extra_age: 0.0,
-                    advance: 0.02 * advance,
+                                        rotation: Rotation { advance: 0.02 * advance, behind: 0.0, shift: 0.0 },
                     speed: 400.0 * speed,
                     current: 40.0 * current,
                     bus_voltage: 24.0,

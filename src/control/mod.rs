@@ -14,6 +14,7 @@ pub mod paper;
 pub mod pi;
 
 use crate::config::{ConfigError, require};
+use crate::estimate::Shaft;
 use crate::math::Scalar;
 use crate::motor::Coefficients;
 use crate::sense::Measured;
@@ -74,8 +75,10 @@ pub(crate) struct Setting<'a> {
     pub motor: &'a Coefficients,
     /// Sampling rate and delay.
     pub timing: &'a Timing,
-    /// How long before a sample its angle lies (s).
-    pub age: f32,
+    /// What is known of the shaft's angle.
+    pub shaft: &'a Shaft,
+    /// Whether a sample holds 16 reads of a counter.
+    pub counts: bool,
     /// What it may see and ask for.
     pub ranges: &'a Ranges,
 }
@@ -199,8 +202,7 @@ impl<S: Scalar> Controller<S> {
         match self {
             Self::Paper(paper) => decision(paper.step(measured, reference), paper.signals(), 0),
             Self::Drive(drive) => {
-                let angle = (measured.advance, measured.extra_age);
-                let voltage = drive.step(angle, measured.current, reference, acting);
+                let voltage = drive.step(&measured.rotation, measured.current, reference, acting);
                 decision(voltage, drive.signals(), drive.exhausted())
             }
             Self::Pi(pi) => decision(pi.step(measured, reference, acting), pi.signals(), 0),

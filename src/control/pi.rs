@@ -116,11 +116,11 @@ impl<S: Scalar> CascadedPi<S> {
     pub fn new(config: &PiConfig, setting: &Setting) -> Result<Self, ConfigError> {
         let &PiConfig { current_bandwidth, speed_bandwidth, speed_damping, disturbance, speed } =
             config;
-        let &Setting { motor, timing, age, ranges } = setting;
+        let &Setting { motor, timing, shaft, ranges, .. } = setting;
         let period = timing.period();
         let current = CurrentLoop::new("control.pi.current_bandwidth", current_bandwidth, setting)?;
-        let estimator = SpeedEstimator::new(&speed, period, age)?;
-        let estimate_lag = lag(&speed, period, age);
+        let estimator = SpeedEstimator::new(&speed, shaft)?;
+        let estimate_lag = lag(&speed, period, shaft.age);
         let lag = 1.0 / current_bandwidth + estimate_lag;
         require(
             (0.5..=5.0).contains(&speed_damping),
@@ -398,11 +398,14 @@ impl<S: Scalar> CurrentLoop<S> {
 #[cfg(test)]
 pub(super) mod rig {
     use crate::control::{ControlConfig, Controller, Ranges, Setting, Timing};
+    use crate::estimate::Shaft;
     use crate::motor::{Coefficients, MotorParameters};
-    use crate::sense::Measured;
+    use crate::sense::{Measured, Rotation};
     use crate::trajectory::Reference;
 
     pub const TIMING: Timing = Timing { rate: 20_000.0, delay: true };
+    pub const SHAFT: Shaft =
+        Shaft { period: 1.0 / TIMING.rate, least_age: 0.0, age: 0.0, unit: 1.0 };
     pub const RANGES: Ranges = Ranges { speed: 400.0, current: 40.0, current_command: 15.0 };
 
     /// A field's refusal, if there is one, of a controller for the paper's motor.
@@ -434,7 +437,13 @@ pub(super) mod rig {
 
         fn try_new(config: &ControlConfig, motor: MotorParameters) -> Result<Self, &'static str> {
             let known = MotorParameters::PAPER.coefficients().expect("valid");
-            let setting = Setting { motor: &known, timing: &TIMING, age: 0.0, ranges: &RANGES };
+            let setting = Setting {
+                motor: &known,
+                timing: &TIMING,
+                shaft: &SHAFT,
+                counts: false,
+                ranges: &RANGES,
+            };
             Ok(Self {
                 controller: Controller::new(config, &setting).map_err(|error| error.field)?,
                 state: [0.0; 5],
@@ -466,8 +475,11 @@ pub(super) mod rig {
 
         pub fn measured(&self) -> Measured<f32> {
             Measured {
-                extra_age: 0.0,
-                advance: (self.state[0] - self.angle) as f32,
+                rotation: Rotation {
+                    advance: (self.state[0] - self.angle) as f32,
+                    behind: 0.0,
+                    shift: 0.0,
+                },
                 speed: self.speed() as f32,
                 current: self.current() as f32,
                 bus_voltage: 24.0,
@@ -557,6 +569,7 @@ mod tests {
     use super::*;
     use crate::control::ControlConfig;
     use crate::motor::MotorParameters;
+    use crate::sense::Rotation;
     use proptest::prelude::*;
 
     const MOTOR: MotorParameters = MotorParameters::PAPER;
@@ -592,7 +605,13 @@ mod tests {
     #[test]
     fn the_current_loop_has_the_magnitude_optimums_step_response() {
         let known = MOTOR.coefficients().expect("valid");
-        let setting = Setting { motor: &known, timing: &TIMING, age: 0.0, ranges: &RANGES };
+        let setting = Setting {
+            motor: &known,
+            timing: &TIMING,
+            shaft: &SHAFT,
+            counts: false,
+            ranges: &RANGES,
+        };
         let bandwidth = magnitude_optimum(&TIMING);
         let mut current = CurrentLoop::<f32>::new("current", bandwidth, &setting).expect("valid");
         // An armature that does not turn, one period late, by its difference equation.
@@ -805,8 +824,7 @@ mod tests {
             let mut rig = rig(calm(observer.then_some(600.0)));
             for [speed, current, acting, advance] in samples {
                 let measured = Measured {
-                    extra_age: 0.0,
-                    advance: 0.02 * advance,
+                                        rotation: Rotation { advance: 0.02 * advance, behind: 0.0, shift: 0.0 },
                     speed: 400.0 * speed,
                     current: 40.0 * current,
                     bus_voltage: 24.0,

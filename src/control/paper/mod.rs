@@ -34,7 +34,7 @@ pub(crate) struct Paper<S: Scalar> {
 
 impl<S: Scalar> Paper<S> {
     pub fn new(config: &PaperConfig, setting: &Setting) -> Result<Self, ConfigError> {
-        let &Setting { motor, timing, age, ranges } = setting;
+        let &Setting { motor, timing, shaft, ranges, .. } = setting;
         let gains = &config.gains;
         gains.check()?;
         require(
@@ -51,7 +51,7 @@ impl<S: Scalar> Paper<S> {
                 Some(Estimator::new(config, timing, ranges)?)
             }
         };
-        let speed = SpeedEstimator::new(&config.speed, timing.period(), age)?;
+        let speed = SpeedEstimator::new(&config.speed, shaft)?;
         Ok(Self { last: Signals::NONE, speed, acceleration: S::ZERO, law, estimator })
     }
 
