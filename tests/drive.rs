@@ -686,6 +686,37 @@ fn a_coarse_encoder_is_no_jump() {
 }
 
 #[test]
+fn viscous_friction_is_no_load() {
+    // 1 mN·m·s/rad: 0.1 N·m at 100 rad/s, five times the load, and 12.6/s against c.
+    for (speed, smooth) in [(100.0, false), (-100.0, false), (100.0, true)] {
+        let load = 0.02 * f64::signum(speed);
+        let mut scenario = at(Controller::DriveQsmdo, speed, load, 0.5);
+        scenario.motor.viscous_friction = 1e-3;
+        let mut peak = 0.0_f64;
+        if smooth {
+            scenario = shaped(commanded(scenario, &[(0.0, speed), (0.2, -speed)]), 60.0);
+        }
+        let (mut late, mut told) = (Vec::new(), Vec::new());
+        let outcome = simulate::<f32>(&scenario, |frame| match frame.time {
+            0.15..0.2 | 0.4.. => {
+                late.push(frame.z1);
+                told.push(frame.load_torque_estimate);
+            }
+            0.2..0.4 => peak = peak.max(frame.z1.abs()),
+            _ => {}
+        })
+        .expect("valid scenario");
+        assert_eq!(outcome.fault, None);
+        assert_within("rest", rms(&late), [1e-3, 0.02]);
+        let mean = told.iter().sum::<f64>() / told.len() as f64;
+        assert_within("load torque", mean / load, [0.97, 1.03]);
+        if smooth {
+            assert_within("reversal", peak, [0.1, 0.4]);
+        }
+    }
+}
+
+#[test]
 fn stands_still_and_reverses() {
     for (load, friction) in [(0.0, 0.0), (0.02, 0.0), (0.02, 0.01)] {
         let mut scenario = at(Controller::DriveQsmdo, 0.0, load, 0.5);
