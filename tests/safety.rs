@@ -376,9 +376,13 @@ fn a_drive_that_ran_starts_anew_when_armed_again() {
             used.step(&Sample::Exact(Exact { speed: step as f32 * 0.1, ..GOOD }));
         }
         used.disarm();
-        used.arm().expect("no fault");
-        let mut fresh = armed(&config);
+        let mut fresh = Drive::new(&config).expect("valid configuration");
         fresh.set_speed(100.0).expect("in range");
+        // A period with the bridge off tells both where the motor is.
+        for drive in [&mut used, &mut fresh] {
+            drive.step(&Sample::Exact(GOOD));
+            drive.arm().expect("no fault");
+        }
         for _ in 0..10 {
             assert_eq!(
                 used.step(&Sample::Exact(GOOD)),
