@@ -5,7 +5,7 @@
 //! sample holds, it returns a finite duty within the limit, or [`BridgeCommand::Off`].
 
 use crate::config::{ConfigError, positive, require};
-use crate::control::{ControlConfig, Controller, Ranges, Setting, Signals, Timing};
+use crate::control::{ControlConfig, Controller, Decision, Ranges, Setting, Signals, Timing};
 use crate::hal::{Board, BridgeCommand, Sample};
 use crate::math::Scalar;
 use crate::motor::MotorParameters;
@@ -148,8 +148,12 @@ pub struct Telemetry<S> {
 #[repr(C)] // What every step loads comes first, in reach of short loads.
 pub struct Drive<S: Scalar> {
     mode: Mode,
-    /// Whether the controller has started since the drive was armed.
-    started: bool,
+    /// Whether the drive is armed and its controller has started.
+    driving: bool,
+    /// Whether another controller is to take over in the middle of a run.
+    changed: bool,
+    /// Whether there was a sample.
+    seen: bool,
     /// Whether there was a driven period.
     driven: bool,
     speed_limit: S,
@@ -171,13 +175,16 @@ pub struct Drive<S: Scalar> {
     minus_inertia: S::Gain,
 }
 
-impl<S: Scalar> Drive<S> {
-    /// Builds a drive, not armed, commanded to stand still. Refuses a configuration outside its range, naming the field.
+/// A controller that is ready to take over; see [`Drive::change_controller`].
+#[derive(Clone, Debug)]
+pub struct ReadyController<S: Scalar>(Controller<S>);
+
+impl<S: Scalar> ReadyController<S> {
+    /// Builds the controller of a configuration; all else in it must be as the drive that it is for was built.
     pub fn new(config: &DriveConfig) -> Result<Self, ConfigError> {
         let motor = config.motor.coefficients()?;
-        let limits = &config.limits;
+        let DriveConfig { limits, timing, .. } = config;
         limits.check()?;
-        let timing = &config.timing;
         let setting = Setting {
             motor: &motor,
             timing,
@@ -188,12 +195,23 @@ impl<S: Scalar> Drive<S> {
                 current_command: limits.current_command,
             },
         };
+        Ok(Self(Controller::new(&config.control, &setting)?))
+    }
+}
+
+impl<S: Scalar> Drive<S> {
+    /// Builds a drive, not armed, commanded to stand still. Refuses a configuration outside its range, naming the field.
+    pub fn new(config: &DriveConfig) -> Result<Self, ConfigError> {
+        let DriveConfig { limits, timing, .. } = config;
+        let ReadyController(controller) = ReadyController::new(config)?;
         Ok(Self {
             mode: Mode::Off,
-            started: false,
+            driving: false,
+            seen: false,
             driven: false,
-            controller: Controller::new(&config.control, &setting)?,
-            sensing: Sensing::new(&config.sensors, limits.speed, timing.rate)?,
+            changed: false,
+            controller,
+            sensing: Sensing::new(&config.sensors, limits.speed, limits.current, timing.rate)?,
             shaper: Shaper::new(config.shape, timing.rate)?,
             duty_limit: S::from_f32(limits.duty),
             speed_limit: S::from_f32(limits.speed),
@@ -208,7 +226,7 @@ impl<S: Scalar> Drive<S> {
             idle_speed: S::ZERO,
             authority_steps: (AUTHORITY_TIME * timing.rate) as u32,
             back_emf: S::gain(config.motor.back_emf_constant),
-            minus_inertia: S::gain(-motor.inertia),
+            minus_inertia: S::gain(-config.motor.inertia),
         })
     }
 
@@ -219,18 +237,28 @@ impl<S: Scalar> Drive<S> {
             Mode::Faulted(fault) => Err(Refusal::Faulted(fault)),
             Mode::Running => Ok(()),
             Mode::Off => {
-                self.started = false;
                 self.mode = Mode::Running;
                 Ok(())
             }
         }
     }
 
+    /// Another controller, or the same with other gains, from the next step on. In the middle of a run it takes over without
+    /// a jump: it starts from the speed that was known, the current that there is, and the voltage that acts.
+    pub fn change_controller(&mut self, ReadyController(controller): ReadyController<S>) {
+        self.changed = self.driving;
+        if self.driving {
+            self.idle_speed = self.controller.signals().speed;
+            self.driving = false;
+        }
+        self.controller = controller;
+    }
+
     /// Turns the outputs off from the next step. A fault stays latched.
     pub fn disarm(&mut self) {
         if self.mode == Mode::Running {
             self.mode = Mode::Off;
-            self.idle_speed = self.controller.signals().speed;
+            self.stop();
         }
     }
 
@@ -262,42 +290,62 @@ impl<S: Scalar> Drive<S> {
     // Not inlined, for its instructions to be counted apart from its caller's.
     #[inline(never)]
     pub fn step(&mut self, sample: &Sample<S>) -> BridgeCommand<S> {
-        let Some(measured) = self.sensing.read(sample) else {
+        let Some(mut measured) = self.sensing.read(sample) else {
             return self.refuse(Fault::BadSample);
         };
-        if self.mode != Mode::Running {
-            // Without a bus too: what matters is where the motor is when it is armed.
-            if self.motor_limits_hold(&measured) {
-                self.idle_speed = self.controller.follow(&measured);
-            }
-            return BridgeCommand::Off;
+        if !self.driving {
+            let Some(first) = self.start(measured) else { return BridgeCommand::Off };
+            measured = first;
         }
         if !self.limits_hold(&measured) {
-            return self.refuse(self.fault_in(&measured));
+            return self.refuse(self.fault_in(measured));
         }
-        if !self.started {
-            self.start(&measured);
+        let reference = self.shaper.advance();
+        let Decision { voltage, speed, exhausted } =
+            self.controller.step(&measured, reference, self.voltage);
+        // Not the other way round: a NaN is no speed within the limit.
+        let plausible = speed.abs() <= self.speed_limit;
+        if !plausible {
+            return self.refuse(if speed.is_finite() {
+                Fault::Overspeed
+            } else {
+                Fault::BadSample
+            });
         }
-        let wanted = self.controller.step(&measured, self.shaper.advance(), self.voltage);
-        if self.controller.signals().speed.abs() > self.speed_limit {
-            return self.refuse(Fault::Overspeed);
-        }
-        if self.controller.exhausted() > self.authority_steps && self.controller.stuck() {
+        if exhausted > self.authority_steps && self.controller.stuck() {
             return self.refuse(Fault::BeyondAuthority);
         }
-        let duty = (wanted / measured.bus_voltage).limited(self.duty_limit);
+        let duty = (voltage / measured.bus_voltage).limited(self.duty_limit);
         self.voltage = duty * measured.bus_voltage;
-        self.driven = true;
         BridgeCommand::Duty(duty)
     }
 
-    /// Starts from what was followed with the bridge off: without a jump of reference, voltage or estimates.
+    /// Follows the motor with the bridge off or, once armed, starts from what was followed: without a jump of reference,
+    /// voltage or estimates. Gives the sample to drive on if it started.
     #[cold]
-    fn start(&mut self, measured: &Measured<S>) {
+    fn start(&mut self, mut measured: Measured<S>) -> Option<Measured<S>> {
+        // The first difference of counts is one to nothing.
+        if !self.seen && measured.advance.is_finite() {
+            measured.advance = S::ZERO;
+        }
+        self.seen = true;
+        if self.mode != Mode::Running {
+            if self.can_follow(&measured) {
+                self.idle_speed = self.controller.follow(&measured);
+            }
+            return None;
+        }
+        self.driving = true;
+        self.driven = true;
+        if core::mem::replace(&mut self.changed, false) {
+            let reference = *self.shaper.clone().advance();
+            self.controller.resume(self.idle_speed, &measured, &reference, self.voltage);
+            return Some(measured);
+        }
         self.shaper.reset(self.idle_speed);
         self.voltage = S::combine([(self.back_emf, self.idle_speed)]);
-        self.controller.start(measured, self.shaper.clone().advance());
-        self.started = true;
+        self.controller.start(&measured, self.shaper.clone().advance());
+        Some(measured)
     }
 
     /// Outputs off; while running, for a fault.
@@ -305,38 +353,50 @@ impl<S: Scalar> Drive<S> {
     fn refuse(&mut self, fault: Fault) -> BridgeCommand<S> {
         if self.mode == Mode::Running {
             self.mode = Mode::Faulted(fault);
-            self.idle_speed = self.controller.signals().speed;
+            self.stop();
         }
         BridgeCommand::Off
     }
 
-    /// Whether a sample is within the limits.
+    /// Goes idle, with the speed that was last known.
+    fn stop(&mut self) {
+        let speed = self.controller.signals().speed;
+        if self.driving && speed.abs() <= self.speed_limit {
+            self.idle_speed = speed;
+        }
+        self.driving = false;
+        self.changed = false;
+    }
+
+    /// Whether a sample is within the limits, but for the speed, which the controller tells.
     #[inline]
     fn limits_hold(&self, measured: &Measured<S>) -> bool {
-        self.motor_limits_hold(measured)
+        measured.advance.abs() <= self.advance_limit
+            && measured.current.abs() <= self.current_limit
             && measured.bus_voltage >= self.bus_min
             && measured.bus_voltage <= self.bus_max
     }
 
-    /// Whether what a sample says of the motor is within the limits.
-    #[inline]
-    fn motor_limits_hold(&self, measured: &Measured<S>) -> bool {
-        measured.speed.abs() <= self.speed_limit
-            && measured.advance.abs() <= self.advance_limit
+    /// Whether a sample is good to follow the motor by. Without a bus too: what matters is where the motor is when the drive is
+    /// armed.
+    fn can_follow(&self, measured: &Measured<S>) -> bool {
+        measured.advance.abs() <= self.advance_limit
             && measured.current.abs() <= self.current_limit
+            && measured.speed.abs() <= self.speed_limit
     }
 
     /// What is wrong with a sample that is not within the limits.
     #[cold]
-    fn fault_in(&self, measured: &Measured<S>) -> Fault {
-        if measured.current.abs() > self.current_limit {
+    fn fault_in(&self, measured: Measured<S>) -> Fault {
+        let Measured { advance, current, bus_voltage, .. } = measured;
+        if ![advance, current, bus_voltage].iter().all(|value| value.is_finite()) {
+            Fault::BadSample
+        } else if current.abs() > self.current_limit {
             Fault::Overcurrent
-        } else if measured.bus_voltage < self.bus_min {
+        } else if bus_voltage < self.bus_min {
             Fault::BusUndervoltage
-        } else if measured.bus_voltage > self.bus_max {
+        } else if bus_voltage > self.bus_max {
             Fault::BusOvervoltage
-        } else if measured.speed.abs() > self.speed_limit {
-            Fault::Overspeed
         } else {
             Fault::EncoderJump
         }

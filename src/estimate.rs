@@ -61,6 +61,15 @@ impl<S: Scalar> SpeedEstimator<S> {
         }
     }
 
+    /// Goes on from a known speed (rad/s).
+    pub fn resume(&mut self, known: S) {
+        match self {
+            Self::Exact => {}
+            Self::Difference(Difference { speed, .. }) => *speed = known,
+            Self::Pll { observer, .. } => observer.resume(known),
+        }
+    }
+
     /// The speed (rad/s) at a sample; `acceleration` is what the controller knew of at the last one (rad/s²).
     #[inline]
     pub fn step(&mut self, measured: &Measured<S>, acceleration: S) -> S {
@@ -71,7 +80,8 @@ impl<S: Scalar> SpeedEstimator<S> {
                 *speed
             }
             Self::Pll { observer, fed } => {
-                observer.step(measured.advance, if *fed { acceleration } else { S::ZERO });
+                let acceleration = if *fed { acceleration } else { S::ZERO };
+                observer.step(measured.advance, measured.extra_age, acceleration);
                 observer.speed
             }
         }
@@ -125,16 +135,22 @@ impl<S: Scalar> AngleObserver<S> {
         }
     }
 
-    /// On to the next sample, with the angle that the reads advanced (rad) and the mean acceleration since (rad/s²). Gives
-    /// the correction of the speed (rad/s).
+    /// Goes on from a known speed (rad/s).
+    pub fn resume(&mut self, speed: S) {
+        self.speed = speed;
+        self.lead = S::combine([(self.age, speed)]);
+    }
+
+    /// On to the next sample, with the angle that the reads advanced (rad), how much more than usual they lie back (s), and the
+    /// mean acceleration since (rad/s²). Gives the correction of the speed (rad/s).
     #[inline]
-    pub fn step(&mut self, advance: S, acceleration: S) -> S {
+    pub fn step(&mut self, advance: S, extra_age: S, acceleration: S) -> S {
         let turned =
             S::combine([(self.period, self.speed), (self.half_period_squared, acceleration)]);
         self.lead = self.lead + (turned - advance);
         self.speed = self.speed + S::combine([(self.period, acceleration)]);
         let expected = S::combine([(self.age, self.speed), (self.half_age_squared, acceleration)]);
-        let innovation = expected - self.lead;
+        let innovation = expected + extra_age * self.speed - self.lead;
         self.lead = self.lead + S::combine([(self.angle_gain, innovation)]);
         let correction = S::combine([(self.speed_gain, innovation)]);
         self.speed = self.speed + correction;
@@ -149,7 +165,7 @@ mod tests {
     const PERIOD: f32 = 5e-5;
 
     fn measured(advance: f32) -> Measured<f32> {
-        Measured { advance, speed: 0.0, current: 0.0, bus_voltage: 24.0 }
+        Measured { advance, extra_age: 0.0, speed: 0.0, current: 0.0, bus_voltage: 24.0 }
     }
 
     #[test]

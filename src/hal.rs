@@ -24,6 +24,9 @@ pub struct Codes {
     /// The encoder's counter, read at equal distances over the period, the last time together with the current. It wraps
     /// at 2¹⁶.
     pub encoder: [u16; READS],
+    /// How much earlier than that all of them were read, in 1/256 of the distance of two reads. Different in each period, it
+    /// keeps any speed from beating with the reads; see [`Reads::Shifted`](crate::sense::Reads::Shifted).
+    pub shift: u8,
 }
 
 /// A period's sample from sensors without error.

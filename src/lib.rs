@@ -38,7 +38,7 @@
 //!
 //! impl Board<f32> for Bench {
 //!     fn sample(&mut self) -> Sample<f32> {
-//!         Sample::Codes(Codes { current: 2048, bus_voltage: 3200, encoder: [0; READS] })
+//!         Sample::Codes(Codes { current: 2048, bus_voltage: 3200, encoder: [0; READS], shift: 0 })
 //!     }
 //!
 //!     fn apply(&mut self, command: BridgeCommand<f32>) {
@@ -56,6 +56,7 @@
 //!     current_zero: 2048.0,
 //!     bus_voltage_per_code: 0.0075,
 //!     counts_per_turn: 4096,
+//!     highest_code: 4095,
 //!     reads: Reads::All,
 //! };
 //! // A ripple of 20 mV is accepted, loads of 0.3 N·m are to be held, and the model may lack 2.5 V.

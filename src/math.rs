@@ -33,6 +33,9 @@ pub trait Scalar:
     /// The signal nearest to `value`. For configuration, not for the loop.
     fn from_f32(value: f32) -> Self;
 
+    /// The number nearest to this. For new commands, not for the loop.
+    fn to_f32(self) -> f32;
+
     /// A converter's code.
     fn from_code(code: u16) -> Self;
 
@@ -73,6 +76,10 @@ impl Scalar for f32 {
 
     fn from_f32(value: f32) -> Self {
         value
+    }
+
+    fn to_f32(self) -> f32 {
+        self
     }
 
     #[inline]
@@ -129,21 +136,28 @@ impl Scalar for f32 {
 }
 
 /// Hyperbolic tangent, to within 1.2e-7. For configuration time.
+#[inline(never)]
 pub fn tanh(x: f32) -> f32 {
     libm::tanhf(x)
 }
 
-/// Sine of an angle (rad). For configuration time.
-pub fn sin(x: f32) -> f32 {
-    libm::sinf(x)
+/// Inverse hyperbolic tangent. For configuration time and a change of controllers.
+pub fn atanh(x: f32) -> f32 {
+    libm::atanhf(x)
 }
 
-/// Square root. For configuration time.
+/// Square root. For configuration time and new commands.
 pub fn sqrt(x: f32) -> f32 {
     libm::sqrtf(x)
 }
 
+/// The integer not below. For configuration time and new commands.
+pub fn ceil(x: f32) -> f32 {
+    libm::ceilf(x)
+}
+
 /// e^x − 1, accurate near zero too. For configuration time.
+#[inline(never)]
 pub fn exp_m1(x: f32) -> f32 {
     libm::expm1f(x)
 }

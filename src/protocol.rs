@@ -88,7 +88,7 @@ impl Question {
 pub const EXACT_WORDS: usize = 4;
 
 /// Words of a sample of codes.
-pub const CODES_WORDS: usize = 1 + READS / 2;
+pub const CODES_WORDS: usize = 2 + READS / 2;
 
 /// An exact sample as words.
 pub fn exact_to_words(exact: &Exact<f32>) -> [u32; EXACT_WORDS] {
@@ -101,11 +101,12 @@ pub fn exact_from_words(words: [u32; EXACT_WORDS]) -> Exact<f32> {
     Exact { speed, advance, current, bus_voltage }
 }
 
-/// A sample of codes as words: two codes in each, the first one low.
+/// A sample of codes as words: the shift, then two codes in each, the first one low.
 pub fn codes_to_words(codes: &Codes) -> [u32; CODES_WORDS] {
     let pair = |low: u16, high: u16| u32::from(low) | u32::from(high) << 16;
-    let mut words = [pair(codes.current, codes.bus_voltage); CODES_WORDS];
-    for (word, [low, high]) in words[1..].iter_mut().zip(codes.encoder.as_chunks().0) {
+    let mut words = [codes.shift.into(); CODES_WORDS];
+    words[1] = pair(codes.current, codes.bus_voltage);
+    for (word, [low, high]) in words[2..].iter_mut().zip(codes.encoder.as_chunks().0) {
         *word = pair(*low, *high);
     }
     words
@@ -113,9 +114,13 @@ pub fn codes_to_words(codes: &Codes) -> [u32; CODES_WORDS] {
 
 /// A sample of codes from words.
 pub fn codes_from_words(words: [u32; CODES_WORDS]) -> Codes {
-    let [first, reads @ ..] = words;
-    let mut codes =
-        Codes { current: first as u16, bus_voltage: (first >> 16) as u16, encoder: [0; READS] };
+    let [shift, first, reads @ ..] = words;
+    let mut codes = Codes {
+        current: first as u16,
+        bus_voltage: (first >> 16) as u16,
+        encoder: [0; READS],
+        shift: shift as u8,
+    };
     for (pair, word) in codes.encoder.as_chunks_mut().0.iter_mut().zip(reads) {
         *pair = [word as u16, (word >> 16) as u16];
     }
@@ -266,6 +271,7 @@ mod tests {
             current_zero: 2047.5,
             bus_voltage_per_code: 0.0075,
             counts_per_turn: -4096,
+            highest_code: 4095,
             reads: Reads::Last,
         };
         for (control, sensors, shape) in [
@@ -302,7 +308,7 @@ mod tests {
         let exact = Exact { speed: -1.5, advance: 0.25, current: 2.5, bus_voltage: 24.0 };
         assert_eq!(exact_from_words(exact_to_words(&exact)), exact);
         let encoder = core::array::from_fn(|index| 65_530 + index as u16 % 6);
-        let codes = Codes { current: 2048, bus_voltage: 3200, encoder };
+        let codes = Codes { current: 2048, bus_voltage: 3200, encoder, shift: 200 };
         assert_eq!(codes_from_words(codes_to_words(&codes)), codes);
         for question in [Question::Record, Question::Sample, Question::TargetAndSample] {
             assert_eq!(Question::from_byte(question as u8), Some(question));

@@ -1,7 +1,7 @@
 //! Reference shaping: from a commanded speed to a reference with the two derivatives that the law feeds forward.
 
-use crate::config::{ConfigError, require};
-use crate::math::{Scalar, exp_m1};
+use crate::config::{ConfigError, positive, require};
+use crate::math::{Scalar, ceil, exp_m1, sqrt};
 use serde::{Deserialize, Serialize};
 
 /// The reference at one sample.
@@ -33,34 +33,46 @@ pub enum Shape {
         /// Natural frequency w (rad/s). Positive, at most half the sampling rate.
         bandwidth: f32,
     },
+    /// The fastest way to the command within limits of acceleration and jerk, and without overshoot: an S-curve.
+    SCurve {
+        /// Largest acceleration (rad/s²). Positive.
+        acceleration: f32,
+        /// Largest jerk (rad/s³), exceeded by up to a twentieth to arrive in whole periods. Positive, at most the
+        /// acceleration a sampling period.
+        jerk: f32,
+    },
 }
 
 /// Shapes a commanded speed, one sample per period.
+///
+/// Between samples the jerk is constant, so speed and acceleration follow exactly by integration, and each of the three
+/// is the derivative of the one before at every sample.
 #[derive(Clone, Debug)]
+#[repr(C)]
 pub struct Shaper<S: Scalar> {
-    filter: Option<Filter<S>>,
+    kind: Kind<S>,
+    period: S::Gain,
+    half_period_squared: S::Gain,
     target: S,
-    /// The filter's output less the target: small where it settles, so that no small increment is lost to rounding.
+    /// The output less the target: small where it settles, so that no small increment is lost to rounding.
     rest: S,
     /// The reference at the last sample.
     reference: Reference<S>,
 }
 
-/// Between samples the jerk is constant, so speed and acceleration follow exactly by integration, and each of the three
-/// is the derivative of the one before at every sample.
 #[derive(Clone, Debug)]
-struct Filter<S: Scalar> {
-    period: S::Gain,
-    half_period_squared: S::Gain,
-    stiffness: S::Gain,
-    damping: S::Gain,
+enum Kind<S: Scalar> {
+    Step,
+    SecondOrder { stiffness: S::Gain, damping: S::Gain },
+    SCurve(SCurve<S>),
 }
 
 impl<S: Scalar> Shaper<S> {
     /// A shaper at rest at zero speed, for a sampling rate in Hz.
     pub(crate) fn new(shape: Shape, rate: f32) -> Result<Self, ConfigError> {
-        let filter = match shape {
-            Shape::Step => None,
+        let period = 1.0 / rate;
+        let kind = match shape {
+            Shape::Step => Kind::Step,
             Shape::SecondOrder { bandwidth } => {
                 require(
                     bandwidth > 0.0 && bandwidth <= 0.5 * rate,
@@ -68,60 +80,158 @@ impl<S: Scalar> Shaper<S> {
                     "must be positive and at most half the sampling rate",
                     bandwidth,
                 )?;
-                let period = 1.0 / rate;
                 // A double integrator over a held jerk, with both poles placed where e^(−w·h) puts them.
                 let decay = -exp_m1(-bandwidth * period);
-                Some(Filter {
-                    period: S::gain(period),
-                    half_period_squared: S::gain(0.5 * period * period),
+                Kind::SecondOrder {
                     stiffness: S::gain(-decay * decay / (period * period)),
                     damping: S::gain(-(2.0 * decay - 0.5 * decay * decay) / period),
-                })
+                }
+            }
+            Shape::SCurve { acceleration, jerk } => {
+                positive("reference.acceleration", acceleration)?;
+                positive("reference.jerk", jerk)?;
+                require(
+                    jerk * period <= acceleration,
+                    "reference.jerk",
+                    "must be at most reference.acceleration a sampling period",
+                    jerk,
+                )?;
+                Kind::SCurve(SCurve::new(acceleration, jerk, period))
             }
         };
-        let reference = Reference::constant(S::ZERO);
-        Ok(Self { filter, target: S::ZERO, rest: S::ZERO, reference })
+        Ok(Self {
+            kind,
+            period: S::gain(period),
+            half_period_squared: S::gain(0.5 * period * period),
+            target: S::ZERO,
+            rest: S::ZERO,
+            reference: Reference::constant(S::ZERO),
+        })
     }
 
     /// Sets the commanded speed (rad/s).
     pub fn set_target(&mut self, target: S) {
         self.rest = self.rest + (self.target - target);
         self.target = target;
+        self.replan();
     }
 
     /// Starts anew from a speed (rad/s), at rest in its derivatives.
     pub fn reset(&mut self, speed: S) {
         self.rest = speed - self.target;
         self.reference = Reference::constant(speed);
+        self.replan();
+    }
+
+    fn replan(&mut self) {
+        if let Kind::SCurve(curve) = &mut self.kind {
+            curve.planned = false;
+        }
     }
 
     /// Goes on to the next sample.
     #[inline]
     pub fn advance(&mut self) -> &Reference<S> {
         let reference = &mut self.reference;
-        match &self.filter {
-            None => reference.speed = self.target,
-            Some(filter) => {
-                let Reference { acceleration, jerk, .. } = *reference;
-                self.rest = self.rest
-                    + S::combine([
-                        (filter.period, acceleration),
-                        (filter.half_period_squared, jerk),
-                    ]);
-                reference.speed = self.target + self.rest;
-                reference.acceleration = acceleration + S::combine([(filter.period, jerk)]);
-                reference.jerk = S::combine([
-                    (filter.stiffness, self.rest),
-                    (filter.damping, reference.acceleration),
-                ]);
+        if let Kind::Step = self.kind {
+            reference.speed = self.target;
+            return reference;
+        }
+        let Reference { acceleration, jerk, .. } = *reference;
+        self.rest =
+            self.rest + S::combine([(self.period, acceleration), (self.half_period_squared, jerk)]);
+        reference.acceleration = acceleration + S::combine([(self.period, jerk)]);
+        match &mut self.kind {
+            Kind::Step => {}
+            Kind::SecondOrder { stiffness, damping } => {
+                reference.jerk =
+                    S::combine([(*stiffness, self.rest), (*damping, reference.acceleration)]);
+            }
+            Kind::SCurve(curve) => {
+                if curve.is_over(self.rest, reference.acceleration) {
+                    self.rest = S::ZERO;
+                    reference.acceleration = S::ZERO;
+                }
+                reference.jerk = curve.next();
             }
         }
+        reference.speed = self.target + self.rest;
         reference
     }
 
     /// The reference at the last sample.
     pub fn reference(&self) -> &Reference<S> {
         &self.reference
+    }
+}
+
+/// Three stretches of constant jerk: towards the largest acceleration, along it, and back to none.
+#[derive(Clone, Debug)]
+struct SCurve<S> {
+    acceleration: f32,
+    jerk: f32,
+    period: f32,
+    planned: bool,
+    stretches: [Stretch<S>; 3],
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Stretch<S> {
+    periods: u32,
+    jerk: S,
+}
+
+impl<S: Scalar> SCurve<S> {
+    const NONE: [Stretch<S>; 3] = [Stretch { periods: 0, jerk: S::ZERO }; 3];
+
+    fn new(acceleration: f32, jerk: f32, period: f32) -> Self {
+        Self { acceleration, jerk, period, planned: true, stretches: Self::NONE }
+    }
+
+    /// Whether the way has been gone; plans one from here after a new command.
+    fn is_over(&mut self, rest: S, acceleration: S) -> bool {
+        if !self.planned {
+            self.stretches = self.plan(-rest.to_f32(), acceleration.to_f32());
+            self.planned = true;
+        }
+        self.stretches[2].periods == 0
+    }
+
+    fn next(&mut self) -> S {
+        let stretch = self.stretches.iter_mut().find(|stretch| stretch.periods > 0);
+        stretch.map_or(S::ZERO, |stretch| {
+            stretch.periods -= 1;
+            stretch.jerk
+        })
+    }
+
+    /// A way that changes the speed by `way` (rad/s) and ends without acceleration, in whole periods.
+    #[cold]
+    fn plan(&self, way: f32, acceleration: f32) -> [Stretch<S>; 3] {
+        let &Self { acceleration: limit, jerk, period, .. } = self;
+        if way == 0.0 && acceleration == 0.0 {
+            return Self::NONE;
+        }
+        // What the speed changes by until the acceleration has gone decides which way to go first.
+        let up = way >= 0.5 * acceleration * acceleration.abs() / jerk;
+        let sign = if up { 1.0 } else { -1.0 };
+        let (way, start) = (sign * way, sign * acceleration);
+        let peak = sqrt((jerk * way + 0.5 * start * start).max(0.0)).min(limit);
+        let along = way - (peak * peak - 0.5 * start * start) / jerk;
+        let periods = |time: f32| ceil(time / period);
+        let rising = periods((peak - start).abs() / jerk).max(1.0);
+        let cruising = periods((along / peak.max(f32::MIN_POSITIVE)).max(0.0));
+        let falling = periods(peak / jerk).max(1.0);
+        // The acceleration that makes up for whole periods.
+        let peak = (way - 0.5 * start * rising * period)
+            / ((0.5 * rising + cruising + 0.5 * falling) * period);
+        let stretch =
+            |periods: f32, jerk: f32| Stretch { periods: periods as u32, jerk: S::from_f32(jerk) };
+        [
+            stretch(rising, sign * (peak - start) / (rising * period)),
+            stretch(cruising, 0.0),
+            stretch(falling, -sign * peak / (falling * period)),
+        ]
     }
 }
 
@@ -186,6 +296,64 @@ mod tests {
         for bandwidth in [0.0, -1.0, f32::NAN, f32::INFINITY, 10_001.0] {
             let error = Shaper::<f32>::new(Shape::SecondOrder { bandwidth }, RATE).err();
             assert_eq!(error.expect("refused").field, "reference.bandwidth");
+        }
+    }
+
+    const S_CURVE: Shape = Shape::SCurve { acceleration: 2000.0, jerk: 1e5 };
+
+    #[test]
+    fn an_s_curve_takes_the_time_that_its_limits_need_and_keeps_them() {
+        let mut arrived = None;
+        for (sample, reference) in shaped(S_CURVE, 2000).enumerate() {
+            assert!(reference.acceleration <= 2000.0 * 1.001, "{reference:?}");
+            assert!(reference.jerk.abs() <= 1e5 * 1.001, "{reference:?}");
+            assert!(reference.speed <= 100.0 && reference.acceleration >= -0.05, "{reference:?}");
+            if reference == Reference::constant(100.0) {
+                arrived.get_or_insert(sample);
+            }
+        }
+        // 100/2000 s along the largest acceleration, and 2000/1e5 s to get there and back.
+        let expected = (100.0 / 2000.0 + 2000.0 / 1e5) * RATE;
+        let arrived = arrived.expect("it arrives") as f32;
+        assert!((arrived - expected).abs() <= 3.0, "{arrived} samples, not {expected}");
+    }
+
+    #[test]
+    fn an_s_curve_goes_anywhere_from_anywhere_without_a_jump() {
+        let mut shaper = Shaper::<f32>::new(S_CURVE, RATE).expect("valid");
+        let mut before = *shaper.reference();
+        for (target, samples) in
+            [(100.0, 300), (20.0, 250), (20.1, 700), (-150.0, 1500), (-149.999, 60), (0.0, 3000)]
+        {
+            shaper.set_target(target);
+            for _ in 0..samples {
+                let reference = *shaper.advance();
+                let speed =
+                    before.speed + before.acceleration / RATE + 0.5 * before.jerk / RATE / RATE;
+                // An f32 that sums thousands of steps arrives with a rest of a few mrad/s.
+                assert!((reference.speed - speed).abs() < 5e-3, "{reference:?} after {before:?}");
+                let acceleration = before.acceleration + before.jerk / RATE;
+                assert!((reference.acceleration - acceleration).abs() < 5.0, "{reference:?}");
+                assert!(reference.acceleration.abs() <= 2000.0 * 1.01, "{reference:?}");
+                assert!(reference.jerk.abs() <= 1e5 * 1.05, "{reference:?}");
+                before = reference;
+            }
+        }
+        assert_eq!(before, Reference::constant(0.0));
+    }
+
+    #[test]
+    fn limits_of_an_s_curve_are_checked() {
+        for (acceleration, jerk, field) in [
+            (0.0, 1e5, "reference.acceleration"),
+            (f32::NAN, 1e5, "reference.acceleration"),
+            (1e3, 0.0, "reference.jerk"),
+            (1e3, f32::INFINITY, "reference.jerk"),
+            (1e3, 2.1e7, "reference.jerk"),
+        ] {
+            let shape = Shape::SCurve { acceleration, jerk };
+            let error = Shaper::<f32>::new(shape, RATE).expect_err("refused");
+            assert_eq!(error.field, field);
         }
     }
 }

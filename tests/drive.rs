@@ -19,8 +19,9 @@ const DRIVE_FORMS: [Controller; 2] = [Controller::DriveQsmdo, Controller::DriveQ
 fn on_sensors(controller: Controller) -> Scenario {
     let mut scenario = Scenario::paper();
     scenario.control.controller = controller;
-    scenario.sensors = Some(SensorsTable::default());
-    scenario.limits.current = 25.0;
+    // 10 mA and ±41 A: a converter that oversamples.
+    scenario.sensors = Some(SensorsTable { codes: 8192, ..SensorsTable::default() });
+    scenario.limits.current = 40.0;
     scenario.limits.current_command = Some(20.0);
     scenario.tuning.bandwidth = Some(1170.0);
     scenario.tuning.load_torque = Some(0.3);
@@ -434,9 +435,8 @@ fn the_current_stays_within_its_command() {
 
 #[test]
 fn over_current_trips_as_far_as_the_converter_sees() {
-    // 4096 codes of 12.5 mA are ±25.6 A. (Of 10 mA they are ±20.48 A, and no trip above would ever fire.)
     let mut scenario = at(Controller::DriveQsmdo, 0.0, 0.02, 0.6);
-    scenario.sensors.as_mut().expect("some").current_resolution = 0.0125;
+    scenario.limits.current = 25.0;
     scenario = commanded(scenario, &[(0.0, 0.0), (0.05, 100.0), (0.3, -100.0)]);
     let outcome = simulate::<f32>(&scenario, |_| {}).expect("valid scenario");
     assert_eq!(outcome.fault, None);
@@ -533,7 +533,7 @@ fn start_reversed(
         |codes| {
             // The current's sensor turned with the leads: what is left is the bridge's outputs interchanged.
             if what == Reversed::Bridge {
-                codes.current = 4096 - codes.current;
+                codes.current = 8192 - codes.current;
             }
         },
         |point| fastest = fastest.max(point.speed.abs()),
@@ -914,7 +914,7 @@ fn a_current_sensor_that_is_reversed_is_no_run_away() {
         let scenario = commanded(at(Controller::DriveQsmdo, 0.0, load, 0.5), &[(0.0, 60.0)]);
         let mut rig = Rig::armed(&scenario);
         let (mut fastest, mut late) = (0.0_f64, Vec::new());
-        let reverse = |codes: &mut Codes| codes.current = 4096 - codes.current;
+        let reverse = |codes: &mut Codes| codes.current = 8192 - codes.current;
         let fault = rig.play(0.5, reverse, |point| {
             fastest = fastest.max(point.speed.abs());
             if point.time > 0.25 {

@@ -24,10 +24,11 @@ const LIMITS: Limits = Limits {
 const GOOD: Exact<f32> = Exact { speed: 100.0, advance: 5e-3, current: 1.0, bus_voltage: 24.0 };
 const TIMING: Timing = Timing { rate: 20_000.0, delay: true };
 const SENSORS: Calibration = Calibration {
-    current_per_code: 0.02,
+    current_per_code: 0.025,
     current_zero: 2048.0,
     bus_voltage_per_code: 0.0075,
     counts_per_turn: 4096,
+    highest_code: 4095,
     reads: Reads::All,
 };
 
@@ -74,7 +75,11 @@ fn any_law() -> impl Strategy<Value = Law> {
 fn any_shape() -> impl Strategy<Value = Shape> {
     prop_oneof![
         Just(Shape::Step),
-        (1.0..10_000.0_f32).prop_map(|bandwidth| Shape::SecondOrder { bandwidth })
+        (1.0..10_000.0_f32).prop_map(|bandwidth| Shape::SecondOrder { bandwidth }),
+        (10.0..1e5_f32, 1e-3..1.0_f32).prop_map(|(acceleration, share)| Shape::SCurve {
+            acceleration,
+            jerk: share * acceleration * TIMING.rate,
+        })
     ]
 }
 
@@ -149,7 +154,7 @@ proptest! {
     fn any_codes_give_a_finite_bounded_command(
         controller in 0..4_usize,
         fed in any::<bool>(),
-        periods in prop::collection::vec((0..4096_u16, 1100..3700_u16, any::<[u16; READS]>()), 1..50),
+        periods in prop::collection::vec((0..4096_u16, 1100..3700_u16, any::<[u16; READS]>(), any::<u8>()), 1..50),
         repeat in 1..40_usize,
     ) {
         let speed = SpeedSource::Pll { bandwidth: 4000.0, fed };
@@ -160,9 +165,9 @@ proptest! {
         };
         let mut drive = armed(&config);
         drive.set_speed(100.0).expect("in range");
-        for (current, bus_voltage, encoder) in periods.iter().copied().cycle().take(periods.len() * repeat) {
+        for (current, bus_voltage, encoder, shift) in periods.iter().copied().cycle().take(periods.len() * repeat) {
             let was = drive.mode();
-            match drive.step(&Sample::Codes(Codes { current, bus_voltage, encoder })) {
+            match drive.step(&Sample::Codes(Codes { current, bus_voltage, encoder, shift })) {
                 BridgeCommand::Duty(duty) => {
                     prop_assert!(was == Mode::Running && duty.is_finite() && duty.abs() <= LIMITS.duty);
                 }
@@ -378,9 +383,8 @@ fn a_drive_that_ran_starts_anew_when_armed_again() {
         used.disarm();
         let mut fresh = Drive::new(&config).expect("valid configuration");
         fresh.set_speed(100.0).expect("in range");
-        // A period with the bridge off tells both where the motor is.
         for drive in [&mut used, &mut fresh] {
-            drive.step(&Sample::Exact(GOOD));
+            assert_eq!(drive.step(&Sample::Exact(GOOD)), BridgeCommand::Off);
             drive.arm().expect("no fault");
         }
         for _ in 0..10 {

@@ -107,6 +107,9 @@ impl<S: SimulatedScalar> SimulatedBoard<S> {
         };
         let h = 1.0 / (self.rate * self.substeps as f64);
         let start = self.angle;
+        if let Some(sensors) = &mut self.sensors {
+            sensors.begin();
+        }
         for substep in 0..self.substeps {
             // A jump belongs between integration steps: what holds in the middle holds throughout.
             let constant = self.load.steps_at(self.time + (substep as f64 + 0.5) * h);
@@ -118,8 +121,8 @@ impl<S: SimulatedScalar> SimulatedBoard<S> {
                 // The reads that fall into this integration step, the period's end included.
                 let read_at = |step: usize| step * READS / self.substeps;
                 for read in read_at(substep)..read_at(substep + 1) {
-                    let share =
-                        (read + 1) as f64 / READS as f64 * self.substeps as f64 - substep as f64;
+                    let time = (read + 1) as f64 / READS as f64 - sensors.shift();
+                    let share = time * self.substeps as f64 - substep as f64;
                     let turned = share * h * (before + 0.5 * share * gain);
                     sensors.read_encoder(read, self.angle + turned);
                 }

@@ -56,6 +56,10 @@ impl Scalar for Double {
         Self(f64::from(value))
     }
 
+    fn to_f32(self) -> f32 {
+        self.0 as f32
+    }
+
     fn from_code(code: u16) -> Self {
         Self(code.into())
     }

@@ -23,6 +23,7 @@ pub mod qemu;
 pub mod report;
 pub mod reproduction;
 pub mod scenario;
+pub mod scoreboard;
 pub mod sensors;
 pub mod simulation;
 pub mod terminal;

@@ -18,7 +18,7 @@ pub struct Period<S> {
     pub telemetry: Option<Telemetry<S>>,
 }
 
-/// An armed drive, wherever it runs.
+/// A drive that is armed or arms itself, wherever it runs.
 pub trait Link<S> {
     /// One period: the commanded speed and the sample go in.
     fn exchange(&mut self, target: S, sample: &Sample<S>) -> Result<Period<S>, LinkError>;
@@ -45,14 +45,32 @@ pub enum LinkError {
 pub struct Local<S: SimulatedScalar> {
     drive: Drive<S>,
     commanded: Option<S>,
+    /// Periods until the drive is armed; none once it is.
+    armed_in: Option<u64>,
 }
 
 impl<S: SimulatedScalar> Local<S> {
-    /// Builds and arms a drive.
+    /// Builds a drive that is armed from its first period on.
     pub fn new(config: &DriveConfig) -> Result<Self, LinkError> {
-        let mut drive = Drive::new(config)?;
-        drive.arm().map_err(LinkError::Refused)?;
-        Ok(Self { drive, commanded: None })
+        Self::armed_after(config, 0)
+    }
+
+    /// Builds a drive that is armed after `idle` periods, in which it follows the motor with the bridge off.
+    pub fn armed_after(config: &DriveConfig, idle: u64) -> Result<Self, LinkError> {
+        Ok(Self { drive: Drive::new(config)?, commanded: None, armed_in: Some(idle) })
+    }
+
+    /// Counts down to the period that arms.
+    fn arm_in_time(&mut self) -> Result<(), LinkError> {
+        self.armed_in = match self.armed_in {
+            None => None,
+            Some(0) => {
+                self.drive.arm().map_err(LinkError::Refused)?;
+                None
+            }
+            Some(periods) => Some(periods - 1),
+        };
+        Ok(())
     }
 }
 
@@ -62,6 +80,7 @@ impl<S: SimulatedScalar> Link<S> for Local<S> {
         if self.commanded.replace(target) != Some(target) {
             self.drive.set_speed(target).map_err(LinkError::Refused)?;
         }
+        self.arm_in_time()?;
         let command = self.drive.step(sample);
         Ok(Period { command, mode: self.drive.mode(), telemetry: self.drive.telemetry() })
     }

@@ -10,7 +10,7 @@ use host_sim::qemu::{Emulator, PATIENCE, Qemu};
 use host_sim::reproduction::PERIODS_PER_TICK;
 use host_sim::scenario::{Controller, FormName, Scenario, ScenarioError};
 use host_sim::simulation::{Outcome, simulate, simulate_on};
-use host_sim::{report, reproduction, terminal};
+use host_sim::{report, reproduction, scoreboard, terminal};
 use indicatif::{ProgressBar, ProgressStyle};
 use quasidrive::drive::Fault;
 use serde::Serialize;
@@ -54,6 +54,24 @@ enum Command {
         /// Write the README's plots to this folder instead.
         #[arg(long, value_name = "FOLDER", conflicts_with = "report")]
         plots: Option<PathBuf>,
+    },
+    /// Play every controller in every case at the same voltage ripple, and search the peers' best tunings.
+    Bench {
+        /// Shorter searches, none for other motors than the paper's, and one seed: less than a minute.
+        #[arg(long)]
+        quick: bool,
+        /// Print one JSON object instead of tables.
+        #[arg(long)]
+        json: bool,
+        /// Write an HTML report.
+        #[arg(long, value_name = "OUT")]
+        report: Option<PathBuf>,
+        /// Seeds that every case is played with [default: 5, with --quick 1].
+        #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1000))]
+        seeds: Option<u64>,
+        /// Play only the cases whose name contains this, and search nothing.
+        #[arg(long, value_name = "NAME")]
+        case: Option<String>,
     },
     /// Play several scenarios and print their figures side by side.
     Compare {
@@ -224,6 +242,21 @@ fn execute(command: Command) -> Result<ExitCode> {
             }
             Ok(exit_code(&runs))
         }
+        Command::Bench { quick, json, report, seeds, case } => {
+            let seeds = seeds.unwrap_or(if quick { 1 } else { 5 });
+            let board =
+                scoreboard::run(&scoreboard::Options { quick, seeds, case }, &progress_bar)?;
+            if json {
+                writeln!(stdout(), "{}", serde_json::to_string_pretty(&board)?)?;
+            } else {
+                writeln!(stdout(), "{}", scoreboard::show::text(&board))?;
+            }
+            if let Some(out) = report {
+                write(&out, &scoreboard::show::html(&board)?)?;
+                eprintln!("Report: {}", out.display());
+            }
+            Ok(ExitCode::SUCCESS)
+        }
         Command::Paper { report: out, plots } => {
             let results = reproduction::run(&progress_bar)?;
             if let Some(folder) = plots {
@@ -285,6 +318,11 @@ fn play(file: &Path, overrides: &Overrides, csv: Option<&Path>) -> Result<RunRep
         }
     };
     let outcome = match (overrides.controller_on, overrides.scalar) {
+        (Place::Qemu, _) if scenario.idle_periods() > 0 => {
+            bail!(
+                "the firmware in QEMU is armed from the first period on: initial.armed_after must be 0"
+            )
+        }
         (Place::Host, ScalarName::F32) => simulate::<f32>(&scenario, each)?,
         (Place::Host, ScalarName::F64) => simulate::<Double>(&scenario, each)?,
         (Place::Qemu, ScalarName::F32) => {

@@ -20,9 +20,11 @@ pub struct Line {
 pub struct Plot {
     /// Heading inside the picture.
     pub title: String,
+    /// Label of the x axis, with its unit, where that is not the time (s).
+    pub x_label: Option<String>,
     /// Label of the y axis, with its unit.
     pub y_label: String,
-    /// Times that are shown (s).
+    /// Times (s), or what `x_label` says, that are shown.
     pub span: Range<f64>,
     /// Lines, the lowest first.
     pub lines: Vec<Line>,
@@ -72,7 +74,11 @@ impl Plot {
         root.fill(&WHITE)?;
         // Short spans read better in milliseconds.
         let width = self.span.end - self.span.start;
-        let (scale, x_label) = if width < 0.5 { (1e3, "time [ms]") } else { (1.0, "time [s]") };
+        let (scale, x_label) = match &self.x_label {
+            Some(label) => (1.0, label.as_str()),
+            None if width < 0.5 => (1e3, "time [ms]"),
+            None => (1.0, "time [s]"),
+        };
         let y_range = self.y_range();
         let height = y_range.end - y_range.start;
         let legend = self.emptiest_corner(&y_range);
@@ -148,6 +154,7 @@ mod tests {
     fn a_plot_holds_its_lines_and_labels() {
         let plot = Plot {
             title: "speed".to_owned(),
+            x_label: None,
             y_label: "ω [rad/s]".to_owned(),
             span: 0.0..1.0,
             lines: vec![Line {

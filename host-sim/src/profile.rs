@@ -15,7 +15,8 @@ pub struct Step {
 
 /// The value that holds at `time`; `before` ahead of the first step. Steps are in order of time.
 pub fn value_at(steps: &[Step], before: f64, time: f64) -> f64 {
-    (steps.iter().rev().find(|step| step.time <= time)).map_or(before, |step| step.value)
+    let begun = steps.partition_point(|step| step.time <= time);
+    steps[..begun].last().map_or(before, |step| step.value)
 }
 
 /// A sinusoid, amplitude·sin(2π·frequency·t + phase).

@@ -180,7 +180,7 @@ impl Panel {
             }
         );
         let span = self.window.span();
-        let plot = Plot { title, y_label: self.y_label.to_owned(), span, lines };
+        let plot = Plot { title, x_label: None, y_label: self.y_label.to_owned(), span, lines };
         Ok(PreEscaped(plot.svg()?))
     }
 }
@@ -330,6 +330,7 @@ fn bounds_plot(results: &Reproduction) -> Result<PreEscaped<String>> {
     };
     let plot = Plot {
         title: "BS-QSMDO, near-continuous".to_owned(),
+        x_label: None,
         y_label: "|d̃| [rad/s²]".to_owned(),
         span: Window::Cycle.span(),
         lines: vec![
@@ -361,6 +362,7 @@ fn forms_plot(
     };
     let plot = Plot {
         title: title.to_owned(),
+        x_label: None,
         y_label: y_label.to_owned(),
         span: window.span(),
         lines: vec![

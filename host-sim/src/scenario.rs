@@ -344,6 +344,8 @@ pub struct Initial {
     pub speed: f64,
     /// Armature current (A).
     pub current: f64,
+    /// When the drive is armed (s). Until then the bridge is off and the drive follows the motor.
+    pub armed_after: f64,
 }
 
 impl Initial {
@@ -364,6 +366,10 @@ pub struct ReferenceTable {
     pub shape: ShapeName,
     /// Natural frequency of the second-order shape (rad/s).
     pub bandwidth: Option<f64>,
+    /// Largest acceleration of the S-curve (rad/s²).
+    pub acceleration: Option<f64>,
+    /// Largest jerk of the S-curve (rad/s³).
+    pub jerk: Option<f64>,
 }
 
 /// How commanded speeds become references.
@@ -375,21 +381,34 @@ pub enum ShapeName {
     Step,
     /// Through a critically damped second-order filter.
     SecondOrder,
+    /// Along an S-curve.
+    SCurve,
 }
 
 impl ReferenceTable {
-    fn check_shape(&self) -> Result<(), Broken> {
+    /// How the drive is to shape; what a shape needs must be there, and nothing else.
+    fn shape(&self) -> Result<Shape, Broken> {
         let broken = |field: &str, rule: &str| {
             Err(Broken { field: field.to_owned(), rule: rule.to_owned() })
         };
-        match (self.shape, self.bandwidth) {
-            (ShapeName::Step, Some(_)) => {
-                broken("reference.bandwidth", "is for shape = \"second-order\" only")
+        match (self.shape, self.bandwidth, self.acceleration, self.jerk) {
+            (ShapeName::Step, None, None, None) => Ok(Shape::Step),
+            (ShapeName::SecondOrder, Some(bandwidth), None, None) => {
+                Ok(Shape::SecondOrder { bandwidth: bandwidth as f32 })
             }
-            (ShapeName::SecondOrder, None) => {
+            (ShapeName::SCurve, None, Some(acceleration), Some(jerk)) => {
+                Ok(Shape::SCurve { acceleration: acceleration as f32, jerk: jerk as f32 })
+            }
+            (ShapeName::SecondOrder, None, _, _) => {
                 broken("reference.shape", "= \"second-order\" needs a bandwidth beside it")
             }
-            _ => Ok(()),
+            (ShapeName::SCurve, _, _, _) => {
+                broken("reference.shape", "= \"s-curve\" needs acceleration and jerk beside it")
+            }
+            (_, Some(_), _, _) => {
+                broken("reference.bandwidth", "is for shape = \"second-order\" only")
+            }
+            _ => broken("reference.shape", "has no use for acceleration or jerk"),
         }
     }
 }
@@ -560,11 +579,12 @@ impl Scenario {
         ] {
             rule(value.abs() <= limit, field, "must be within the drive's limits", value)?;
         }
+        non_negative("initial.armed_after", self.initial.armed_after)?;
         check_steps("reference.steps", &self.reference.steps, |field, speed| {
             let holds = speed.abs() <= self.limits.speed;
             rule(holds, field, "must be within ±limits.speed", speed)
         })?;
-        self.reference.check_shape()?;
+        self.reference.shape()?;
         finite("load.constant", self.load.constant)?;
         check_steps("load.steps", &self.load.steps, finite)?;
         for (index, sine) in self.load.sines.iter().enumerate() {
@@ -603,12 +623,8 @@ impl Scenario {
                 bus_min: limits.bus_min as f32,
                 bus_max: limits.bus_max as f32,
             },
-            shape: match (self.reference.shape, self.reference.bandwidth) {
-                (ShapeName::SecondOrder, Some(bandwidth)) => {
-                    Shape::SecondOrder { bandwidth: bandwidth as f32 }
-                }
-                _ => Shape::Step,
-            },
+            // A broken one is refused before this matters.
+            shape: self.reference.shape().unwrap_or_default(),
         }
     }
 
@@ -733,6 +749,11 @@ impl Scenario {
         replace(&mut config.voltage_bandwidth, self.tuning.voltage_bandwidth);
         replace(&mut config.output_bandwidth, self.tuning.output_bandwidth);
         config
+    }
+
+    /// Number of PWM periods before the drive is armed.
+    pub fn idle_periods(&self) -> u64 {
+        (self.initial.armed_after * self.timing.rate).round() as u64
     }
 
     /// Number of PWM periods that are played.

@@ -3,13 +3,10 @@
 use crate::scenario::{Broken, finite, non_negative, positive, rule};
 use quasidrive::hal::{Codes, READS};
 use quasidrive::sense::{Calibration, Reads};
-use rand::SeedableRng;
 use rand::rngs::StdRng;
+use rand::{Rng, SeedableRng};
 use rand_distr::{Distribution, Normal};
 use serde::Deserialize;
-
-/// Codes of the converters: 12 bits.
-const CODES: f64 = 4096.0;
 
 /// `[sensors]`: what stands between the truth and the drive. Without the table sensors are exact.
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq)]
@@ -23,13 +20,15 @@ pub struct SensorsTable {
     pub edge_error: f64,
     /// Whether the encoder is connected the wrong way round, which the drive does not know.
     pub encoder_reversed: bool,
-    /// Resolution of the current's converter (A); 4096 of it are its range, half on either side of zero.
+    /// Codes of each converter: 4096 for 12 bits, up to 65536 for one that oversamples.
+    pub codes: u32,
+    /// Resolution of the current's converter (A); `codes` of it are its range, half on either side of zero.
     pub current_resolution: f64,
     /// Noise of the current (A rms).
     pub current_noise: f64,
     /// Error of the current that the drive has not calibrated away (A).
     pub current_offset: f64,
-    /// Resolution of the bus voltage's converter (V); 4096 of it are its range.
+    /// Resolution of the bus voltage's converter (V); `codes` of it are its range.
     pub bus_voltage_resolution: f64,
     /// Noise of the bus voltage (V rms).
     pub bus_voltage_noise: f64,
@@ -44,6 +43,7 @@ impl Default for SensorsTable {
             reads: ReadsName::All,
             edge_error: 0.0,
             encoder_reversed: false,
+            codes: 4096,
             current_resolution: 0.01,
             current_noise: 0.005,
             current_offset: 0.0,
@@ -61,6 +61,8 @@ pub enum ReadsName {
     /// All 16.
     #[default]
     All,
+    /// All 16, earlier by a random shift in each period.
+    Shifted,
     /// The last.
     Last,
 }
@@ -68,6 +70,8 @@ pub enum ReadsName {
 impl SensorsTable {
     /// What the drive does not check of its calibration.
     pub(crate) fn check(&self) -> Result<(), Broken> {
+        let codes = f64::from(self.codes);
+        rule((2..=65536).contains(&self.codes), "sensors.codes", "must be from 2 to 65536", codes)?;
         let resolution = self.current_resolution;
         positive("sensors.current_resolution", resolution)?;
         positive("sensors.bus_voltage_resolution", self.bus_voltage_resolution)?;
@@ -83,11 +87,13 @@ impl SensorsTable {
     pub fn calibration(&self) -> Calibration {
         Calibration {
             current_per_code: self.current_resolution as f32,
-            current_zero: (0.5 * CODES) as f32,
+            current_zero: 0.5 * self.codes as f32,
             bus_voltage_per_code: self.bus_voltage_resolution as f32,
             counts_per_turn: self.counts_per_turn as i32,
+            highest_code: (self.codes - 1) as u16,
             reads: match self.reads {
                 ReadsName::All => Reads::All,
+                ReadsName::Shifted => Reads::Shifted,
                 ReadsName::Last => Reads::Last,
             },
         }
@@ -104,6 +110,8 @@ pub struct Sensors {
     /// Misplacement of each edge (counts).
     edges: Vec<f64>,
     encoder: [u16; READS],
+    /// How much earlier the encoder is read in this period, in 1/256 of the distance of two reads.
+    shift: u8,
 }
 
 impl Sensors {
@@ -126,7 +134,13 @@ impl Sensors {
             bus_voltage_noise: normal(table.bus_voltage_noise),
             edges,
             encoder: [0; READS],
+            shift: 0,
         }
+    }
+
+    /// How much earlier the encoder is read in this period, as a share of the period.
+    pub fn shift(&self) -> f64 {
+        f64::from(self.shift) / (256 * READS) as f64
     }
 
     /// Reads the encoder's counter for the `read`th time in a period, at an angle (rad).
@@ -149,16 +163,26 @@ impl Sensors {
 
     /// A period's sample, of the current (A) and the bus voltage (V) at its end and the counter's reads.
     pub fn sample(&mut self, current: f64, bus_voltage: f64) -> Codes {
-        let SensorsTable { current_resolution, current_offset, bus_voltage_resolution, .. } =
-            self.table;
+        let SensorsTable {
+            codes, current_resolution, current_offset, bus_voltage_resolution, ..
+        } = self.table;
+        let codes = f64::from(codes);
         let current = current + current_offset + self.current_noise.sample(&mut self.random);
         let bus_voltage = bus_voltage + self.bus_voltage_noise.sample(&mut self.random);
         // Converters saturate at the ends of their range.
-        let code = |value: f64| value.round().clamp(0.0, CODES - 1.0) as u16;
+        let code = |value: f64| value.round().clamp(0.0, codes - 1.0) as u16;
         Codes {
-            current: code(current / current_resolution + 0.5 * CODES),
+            current: code(current / current_resolution + 0.5 * codes),
             bus_voltage: code(bus_voltage / bus_voltage_resolution),
             encoder: self.encoder,
+            shift: self.shift,
+        }
+    }
+
+    /// Begins the next period.
+    pub fn begin(&mut self) {
+        if self.table.reads == ReadsName::Shifted {
+            self.shift = self.random.random();
         }
     }
 }

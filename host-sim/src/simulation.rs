@@ -24,11 +24,11 @@ pub fn simulate<S: SimulatedScalar>(
     scenario: &Scenario,
     each: impl FnMut(&Frame),
 ) -> Result<Outcome, LinkError> {
-    let mut drive = Local::<S>::new(&scenario.drive_config())?;
+    let mut drive = Local::<S>::armed_after(&scenario.drive_config(), scenario.idle_periods())?;
     simulate_on(&mut drive, scenario, each)
 }
 
-/// Plays `scenario` with the drive behind a link, which must be armed and at its first period.
+/// Plays `scenario` with the drive behind a link, which must be at its first period, and armed or about to arm itself.
 pub fn simulate_on<S: SimulatedScalar>(
     drive: &mut impl Link<S>,
     scenario: &Scenario,

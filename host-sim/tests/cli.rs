@@ -243,3 +243,72 @@ fn paper_writes_a_self_contained_report() {
         assert!(!page.contains(outside), "{outside} in the report");
     }
 }
+
+#[test]
+fn bench_plays_a_case_by_every_controller() {
+    let output = host_sim()
+        .args(["bench", "--quick", "--json", "--case", "load steps"])
+        .output()
+        .expect("runs");
+    assert!(output.status.success());
+    assert!(output.stderr.is_empty(), "no progress bar in a pipe");
+    let board: Value = serde_json::from_slice(&output.stdout).expect("one JSON object");
+    let played = board["cases"].as_array().expect("cases");
+    assert_eq!(played.len(), 7);
+    let figure = |player: &str, name: &str| {
+        let of = played.iter().find(|at| at["player"] == player).expect(player);
+        assert_eq!((&of["case"], &of["failed"]), (&"load steps".into(), &0.into()), "{player}");
+        of["median"][name].as_f64().unwrap_or_else(|| unreachable!("{player} has no {name}"))
+    };
+    // Two-sided: the drive form's rule says 1.9·ΔT/(J·wo), of 0.05 N·m at about 1400 rad/s.
+    let dip = figure("drive BS-QSMDO", "dip");
+    assert!((0.7..1.0).contains(&dip), "{dip} rad/s");
+    let recovery = figure("drive BS-QSMDO", "recovery");
+    assert!((0.004..0.009).contains(&recovery), "{recovery} s");
+    assert!(figure("plain BS", "dip") > 1.5 * dip, "plain BS has nothing against the load");
+    for matched in board["matched"].as_array().expect("matched") {
+        let ripple = matched["figures"]["ripple"].as_f64().expect("matched");
+        assert!((8e-3..=10e-3).contains(&ripple), "{matched}");
+    }
+    assert_eq!(board["fronts"], Value::Array(Vec::new()), "nothing was searched");
+}
+
+#[test]
+fn bench_reports_and_refuses() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let out = folder.path().join("board.html");
+    let bench = |case: &str| {
+        let mut command = host_sim();
+        command.args(["bench", "--quick", "--case", case, "--report"]).arg(&out);
+        command.assert()
+    };
+    bench("start while turning").success().stdout(contains("drive BS-QISMC"));
+    let page = std::fs::read_to_string(&out).expect("written");
+    assert!(page.contains("start while turning") && page.contains("</html>"));
+    bench("no such case").code(1).stderr(contains("there are: paper's cycle"));
+    host_sim().args(["bench", "--seeds", "0"]).assert().code(2);
+}
+
+#[test]
+fn a_drive_is_armed_on_a_turning_motor() {
+    let (_folder, file) = edited(
+        "[reference]",
+        "[initial]\nspeed = 50.0\narmed_after = 0.25\n\n[sensors]\n\n[reference]",
+    );
+    let run = |arguments: &[&str]| {
+        let mut command = host_sim();
+        command.arg("run").arg(&file).args(["--controller", "drive-qsmdo"]).args(arguments);
+        command.assert()
+    };
+    let output = run(&["--json", "--duration", "1"]).success().get_output().stdout.clone();
+    let run_json: Value = serde_json::from_slice(&output).expect("one JSON object");
+    assert_eq!(run_json["metrics"]["periods"], 15_000, "what the drive drove");
+    run(&["--controller-on", "qemu"]).code(1).stderr(contains("initial.armed_after must be 0"));
+    let (_folder, file) = edited("[reference]", "[initial]\narmed_after = -1.0\n\n[reference]");
+    host_sim()
+        .arg("run")
+        .arg(&file)
+        .assert()
+        .code(2)
+        .stderr(contains("initial.armed_after must be"));
+}

@@ -26,7 +26,7 @@ use super::injection::Injection;
 use super::{Setting, Signals, Timing};
 use crate::config::{ConfigError, positive, require};
 use crate::estimate::AngleObserver;
-use crate::math::{Scalar, exp_m1, sin, sqrt};
+use crate::math::{Scalar, atanh, exp_m1, sqrt};
 use crate::motor::{Coefficients, MotorParameters};
 use crate::sense::{Calibration, Measured};
 use crate::trajectory::Reference;
@@ -168,6 +168,22 @@ pub(crate) struct DriveForm<S: Scalar> {
     a2: S::Gain,
     disturbance_injection: Injection<S>,
     voltage_injection: Injection<S>,
+    resumption: Resumption,
+}
+
+/// What a change of controllers needs.
+#[derive(Clone, Copy, Debug)]
+struct Resumption {
+    /// k1 (rad/s²).
+    strength: f32,
+    /// ε1 (rad/s).
+    layer: f32,
+    /// V (V).
+    reserve: f32,
+    /// ε2 (A).
+    reserve_layer: f32,
+    /// Ra (Ω).
+    resistance: f32,
 }
 
 /// The mismatch at which an injection counts as exhausted, in boundary layers: tanh is 0.995 there.
@@ -267,26 +283,34 @@ impl<S: Scalar> DriveForm<S> {
             a2: S::gain(a2),
             disturbance_injection: Injection::new(0.0, epsilon1),
             voltage_injection: Injection::new(0.0, epsilon2),
+            resumption: Resumption {
+                strength: k1,
+                layer: epsilon1,
+                reserve: voltage_reserve,
+                reserve_layer: epsilon2,
+                resistance,
+            },
         })
     }
 
     /// Runs the observer of angle, speed and disturbance.
     #[inline]
-    fn observe(&mut self, measured: &Measured<S>, jump: S) {
-        let both = self.current + measured.current;
+    fn observe(&mut self, (advance, extra_age): (S, S), current: S, jump: S) {
+        let both = self.current + current;
         let acceleration = S::combine([(self.half_a2, both), (self.minus_a1, self.observer.speed)])
             + self.disturbance;
-        let correction = self.observer.step(measured.advance, acceleration);
+        let correction = self.observer.step(advance, extra_age, acceleration);
         let mismatch = self.speed_mismatch + correction - S::combine([(self.share, jump)]);
         self.speed_mismatch = mismatch.limited(self.speed_limit);
         let injection = self.disturbance_injection.value(self.speed_mismatch);
         self.disturbance = S::combine([(self.k1, injection)]);
-        self.current = measured.current;
+        self.current = current;
     }
 
     /// With the bridge off the observer goes on, so that a start finds speed and load known.
     pub fn follow(&mut self, measured: &Measured<S>) -> S {
-        self.observe(measured, S::ZERO);
+        let angle = (measured.advance, measured.extra_age);
+        self.observe(angle, measured.current, S::ZERO);
         self.exhausted = 0;
         self.observer.speed
     }
@@ -299,11 +323,33 @@ impl<S: Scalar> DriveForm<S> {
         self.exhausted = 0;
     }
 
+    /// Takes over: the current that it finds is what holds the speed, and the voltage that acts is the right one.
+    pub fn resume(
+        &mut self,
+        speed: S,
+        measured: &Measured<S>,
+        reference: &Reference<S>,
+        acting: S,
+    ) {
+        let current = measured.current;
+        self.start(measured, reference);
+        self.observer.resume(speed);
+        let modelled = S::combine([(self.a2, current), (self.minus_a1, speed)]);
+        let Resumption { strength, layer, reserve, reserve_layer, resistance } = self.resumption;
+        let held = |value: S, strength: f32, layer: f32| {
+            S::from_f32(layer * atanh((value.to_f32() / strength).clamp(-0.99, 0.99)))
+        };
+        self.speed_mismatch = held(reference.acceleration - modelled, strength, layer);
+        let injection = self.disturbance_injection.value(self.speed_mismatch);
+        self.disturbance = S::combine([(self.k1, injection)]);
+        let needed = S::combine([(self.back_emf, speed), (S::gain(resistance), current)]);
+        self.current_mismatch = held(needed - acting, reserve, reserve_layer);
+    }
+
     // Not inlined, for its instructions to be counted apart from its caller's.
     #[inline(never)]
-    pub fn step(&mut self, measured: &Measured<S>, reference: &Reference<S>, acting: S) -> S {
-        self.observe(measured, reference.speed - self.predicted_reference);
-        let current = measured.current;
+    pub fn step(&mut self, angle: (S, S), current: S, reference: &Reference<S>, acting: S) -> S {
+        self.observe(angle, current, reference.speed - self.predicted_reference);
         let speed = self.observer.speed;
         let disturbance = self.disturbance;
 
@@ -354,7 +400,7 @@ impl<S: Scalar> DriveForm<S> {
         let starved =
             self.current_mismatch.abs() >= self.current_limit && missing + missing > command.abs();
         if overloaded || starved {
-            self.exhausted = self.exhausted.saturating_add(1);
+            self.exhausted = self.exhausted.wrapping_add(1);
         } else {
             self.exhausted = 0;
             self.speed_before = speed;
@@ -408,9 +454,11 @@ fn observer_gains(wo: f32, h: f32) -> [f32; 3] {
     let x = wo * h;
     let real = -exp_m1(-x);
     let pair = -exp_m1(-0.85 * x);
-    let half_angle = sin(0.5 * 0.526_783 * x);
+    // The sine of half their angle, which is below 0.035: its next term is below 1e-9.
+    let half_angle = 0.5 * 0.526_783 * x;
+    let sine = half_angle * (1.0 - half_angle * half_angle / 6.0);
     // m·(1 − cos φ)
-    let turned = (1.0 - pair) * 2.0 * half_angle * half_angle;
+    let turned = (1.0 - pair) * 2.0 * sine * sine;
     let g1 = -exp_m1(-2.7 * x);
     let g3 = real * (pair * pair + 2.0 * turned) / (h * h);
     let g2 = (real + 2.0 * pair + 2.0 * turned - g1 - 0.5 * h * h * g3) / h;
@@ -477,7 +525,7 @@ mod tests {
     }
 
     fn measured(advance: f32, current: f32) -> Measured<f32> {
-        Measured { advance, speed: 0.0, current, bus_voltage: 24.0 }
+        Measured { advance, extra_age: 0.0, speed: 0.0, current, bus_voltage: 24.0 }
     }
 
     #[test]
@@ -499,6 +547,7 @@ mod tests {
     #[test]
     fn bandwidth_for_a_ripple_follows_the_fourth_root_and_its_limits() {
         let calibration = |counts_per_turn| Calibration {
+            highest_code: 4095,
             current_per_code: 0.01,
             current_zero: 2048.0,
             bus_voltage_per_code: 0.0075,
@@ -544,7 +593,7 @@ mod tests {
                     _ => (0.0, 25.0, 0.0),
                 };
                 let reference = Reference::constant(if phase % 2 == 0 { 1000.0 } else { -1000.0 });
-                form.step(&measured(advance, current), &reference, acting);
+                form.step((advance, 0.0), current, &reference, acting);
                 let signals = *form.signals();
                 assert!(signals.disturbance.abs() <= k1 * 1.000_01, "{signals:?}");
                 let [first, second] = form.sliding_variables();
@@ -569,7 +618,7 @@ mod tests {
         let mut form = built(&GOOD, TIMING).expect("valid");
         let reference = Reference::constant(60.0);
         // 20 A and no motion.
-        let stall = |form: &mut DriveForm<f32>| form.step(&measured(0.0, 20.0), &reference, 14.0);
+        let stall = |form: &mut DriveForm<f32>| form.step((0.0, 0.0), 20.0, &reference, 14.0);
         for _ in 0..200 {
             stall(&mut form);
         }
@@ -593,7 +642,7 @@ mod tests {
         }
         form.start(&measured(0.0, 0.0), &Reference::constant(0.0));
         for _ in 0..400 {
-            form.step(&measured(0.0, 0.0), &Reference::constant(0.0), 0.0);
+            form.step((0.0, 0.0), 0.0, &Reference::constant(0.0), 0.0);
         }
         assert_eq!(form.exhausted(), 0);
     }
@@ -620,7 +669,7 @@ mod tests {
         let acceleration = 0.2 * 742.14 * 20.0;
         for step in 0..600 {
             let advance = acceleration * (step as f32 + 0.5) * 5e-5 * 5e-5;
-            form.step(&measured(advance, 20.0), &reference, 14.0);
+            form.step((advance, 0.0), 20.0, &reference, 14.0);
         }
         assert!(form.exhausted() > 500, "{}", form.exhausted());
         assert!(!form.stuck());

@@ -100,6 +100,7 @@ impl<S: Scalar> Injection<S> {
 }
 
 /// The g that solves g = tanh(v − β·g), for v ≥ 0: bisection on w = v − β·g, where w + β·tanh(w) = v.
+#[inline(never)]
 fn implicit_tanh(v: f32, beta: f32) -> f32 {
     let (mut low, mut high) = (0.0, v);
     for _ in 0..40 {

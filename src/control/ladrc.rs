@@ -187,6 +187,12 @@ impl<S: Scalar> Ladrc<S> {
         self.signals = Signals::NONE;
     }
 
+    /// Takes over: the current that it finds is what holds the speed.
+    pub fn resume(&mut self, speed: S, measured: &Measured<S>, reference: &Reference<S>) {
+        self.estimator.resume(speed);
+        self.start(measured, reference);
+    }
+
     /// One step; see [`Controller::step`](super::Controller::step).
     #[inline]
     pub fn step(&mut self, measured: &Measured<S>, reference: &Reference<S>, acting: S) -> S {
@@ -420,6 +426,7 @@ mod tests {
             let mut rig = rig(config(400.0, SpeedSource::Exact), MOTOR);
             for [speed, current, acting, advance] in samples {
                 let measured = Measured {
+                    extra_age: 0.0,
                     advance: 0.02 * advance,
                     speed: 400.0 * speed,
                     current: 40.0 * current,

@@ -114,6 +114,17 @@ impl<S: Scalar> Signals<S> {
         Self { speed: S::ZERO, z1: S::ZERO, z2: S::ZERO, disturbance: S::ZERO, voltage: S::ZERO };
 }
 
+/// What the drive has to know of a step.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Decision<S> {
+    /// Wanted armature voltage for the next period, before the duty limit (V).
+    pub voltage: S,
+    /// Shaft speed, measured or estimated (rad/s).
+    pub speed: S,
+    /// How many steps in a row load or voltage have been beyond the authority of the observers, where there are any.
+    pub exhausted: u32,
+}
+
 /// A speed controller: coefficients that are built once, and its state.
 #[derive(Clone, Debug)]
 pub(crate) enum Controller<S: Scalar> {
@@ -155,15 +166,47 @@ impl<S: Scalar> Controller<S> {
         }
     }
 
-    /// One step: from a sample, its reference and the armature voltage that acts from this sample on (V) to the wanted
-    /// armature voltage for the period after (V), before the duty limit.
-    #[inline]
-    pub fn step(&mut self, measured: &Measured<S>, reference: &Reference<S>, acting: S) -> S {
+    /// Takes over from another controller in the middle of a run, at a sample of which [`step`](Self::step) is to be told
+    /// next: from the speed (rad/s) and the voltage that acts (V).
+    pub fn resume(
+        &mut self,
+        speed: S,
+        measured: &Measured<S>,
+        reference: &Reference<S>,
+        acting: S,
+    ) {
         match self {
-            Self::Paper(paper) => paper.step(measured, reference),
-            Self::Drive(drive) => drive.step(measured, reference, acting),
-            Self::Pi(pi) => pi.step(measured, reference, acting),
-            Self::Ladrc(ladrc) => ladrc.step(measured, reference, acting),
+            Self::Paper(paper) => paper.resume(speed, measured, reference),
+            Self::Drive(drive) => drive.resume(speed, measured, reference, acting),
+            Self::Pi(pi) => pi.resume(speed, measured, reference),
+            Self::Ladrc(ladrc) => ladrc.resume(speed, measured, reference),
+        }
+    }
+
+    /// One step: from a sample, its reference and the armature voltage that acts from this sample on (V).
+    #[inline]
+    pub fn step(
+        &mut self,
+        measured: &Measured<S>,
+        reference: &Reference<S>,
+        acting: S,
+    ) -> Decision<S> {
+        let decision = |voltage, signals: &Signals<S>, exhausted| Decision {
+            voltage,
+            speed: signals.speed,
+            exhausted,
+        };
+        match self {
+            Self::Paper(paper) => decision(paper.step(measured, reference), paper.signals(), 0),
+            Self::Drive(drive) => {
+                let angle = (measured.advance, measured.extra_age);
+                let voltage = drive.step(angle, measured.current, reference, acting);
+                decision(voltage, drive.signals(), drive.exhausted())
+            }
+            Self::Pi(pi) => decision(pi.step(measured, reference, acting), pi.signals(), 0),
+            Self::Ladrc(ladrc) => {
+                decision(ladrc.step(measured, reference, acting), ladrc.signals(), 0)
+            }
         }
     }
 
@@ -185,15 +228,6 @@ impl<S: Scalar> Controller<S> {
             Self::Paper(paper) => paper.sliding_variables(),
             Self::Drive(drive) => drive.sliding_variables(),
             Self::Pi(_) | Self::Ladrc(_) => [S::ZERO; 2],
-        }
-    }
-
-    /// How many steps in a row load or voltage have been beyond the authority of the observers, where there are any.
-    #[inline]
-    pub fn exhausted(&self) -> u32 {
-        match self {
-            Self::Drive(drive) => drive.exhausted(),
-            Self::Paper(_) | Self::Pi(_) | Self::Ladrc(_) => 0,
         }
     }
 

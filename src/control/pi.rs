@@ -194,6 +194,12 @@ impl<S: Scalar> CascadedPi<S> {
         }
     }
 
+    /// Takes over: the current that it finds is what holds the speed.
+    pub fn resume(&mut self, speed: S, measured: &Measured<S>, reference: &Reference<S>) {
+        self.estimator.resume(speed);
+        self.start(measured, reference);
+    }
+
     /// One step; see [`Controller::step`](super::Controller::step).
     #[inline]
     pub fn step(&mut self, measured: &Measured<S>, reference: &Reference<S>, acting: S) -> S {
@@ -460,6 +466,7 @@ pub(super) mod rig {
 
         pub fn measured(&self) -> Measured<f32> {
             Measured {
+                extra_age: 0.0,
                 advance: (self.state[0] - self.angle) as f32,
                 speed: self.speed() as f32,
                 current: self.current() as f32,
@@ -478,7 +485,7 @@ pub(super) mod rig {
         /// A period of a sample that has nothing to do with the motor.
         pub fn mislead(&mut self, measured: &Measured<f32>, acting: f32) {
             let reference = Reference::constant(-measured.speed);
-            assert!(self.controller.step(measured, &reference, acting).is_finite());
+            assert!(self.controller.step(measured, &reference, acting).voltage.is_finite());
         }
 
         pub fn start(&mut self) {
@@ -491,7 +498,8 @@ pub(super) mod rig {
         /// A period of control.
         pub fn period(&mut self, reference: &Reference<f32>) {
             self.state[3] = f64::from(self.wanted).clamp(-self.bus, self.bus);
-            self.wanted = self.controller.step(&self.measured(), reference, self.state[3] as f32);
+            self.wanted =
+                self.controller.step(&self.measured(), reference, self.state[3] as f32).voltage;
             assert!(self.wanted.is_finite());
             self.advance();
         }
@@ -797,6 +805,7 @@ mod tests {
             let mut rig = rig(calm(observer.then_some(600.0)));
             for [speed, current, acting, advance] in samples {
                 let measured = Measured {
+                    extra_age: 0.0,
                     advance: 0.02 * advance,
                     speed: 400.0 * speed,
                     current: 40.0 * current,

@@ -13,7 +13,7 @@ use crate::interrupt;
 use crate::shell::{cargo, root};
 use crate::thumb::{Code, Meaning};
 use anyhow::{Context, Result, bail, ensure};
-use object::{Object, ObjectSection, ObjectSymbol, SectionKind};
+use object::{Object, ObjectSection, ObjectSymbol, SectionKind, SymbolKind};
 use std::collections::BTreeSet;
 use std::fmt::Write;
 use std::fs::{self, File};
@@ -31,7 +31,7 @@ const GOLDEN: &str = "xtask/counts.txt";
 
 /// The sources of what the two estimators are made of.
 const ESTIMATORS: [&str; 3] =
-    ["src/control/estimator.rs", "src/control/channel.rs", "src/control/injection.rs"];
+    ["src/control/paper/estimator.rs", "src/control/paper/channel.rs", "src/control/injection.rs"];
 
 /// Builds the firmware, counts and prints; compares with the golden table, or rewrites it.
 pub fn count(cross: &Cross, rewrite: bool) -> Result<()> {
@@ -61,9 +61,10 @@ pub fn count(cross: &Cross, rewrite: bool) -> Result<()> {
 fn table(elf: &Path) -> Result<String> {
     let data = fs::read(elf).with_context(|| format!("cannot read {}", elf.display()))?;
     let image = object::File::parse(&*data)?;
-    let step = function(&image, "5drive", "Drive$LT$S$GT$4step")?;
-    let law = function(&image, "7control", "Controller$LT$S$GT$4step")?;
     let calibration = function(&image, "5board4qemu", "11calibration")?;
+    let step = function(&image, "5drive", "Drive$LT$S$GT$4step")?;
+    let paper = function(&image, "7control5paper", "Paper$LT$S$GT$7control")?;
+    let drive_form = function(&image, "7control10drive_form", "DriveForm$LT$S$GT$4step")?;
 
     // A straight line of a hundred and a few instructions of two bytes each.
     let known = (calibration.end - calibration.start) / 2;
@@ -71,7 +72,8 @@ fn table(elf: &Path) -> Result<String> {
 
     let code = Code::read(&image)?;
     let debug_info = DebugInfo::read(&image)?;
-    let estimators = estimators(&code, &debug_info, &law)?;
+    let estimators = estimators(&code, &debug_info, &paper)?;
+    let in_step = interrupt::called(&code, step.start)?;
 
     let mut table = String::from(
         "executed instructions, and cycles of the dearest call (a model, about ±15 %)\n",
@@ -80,9 +82,17 @@ fn table(elf: &Path) -> Result<String> {
     for (core, machine, has_cycles) in
         [("Cortex-M4F", "mps2-an386", true), ("Cortex-M7", "mps2-an500", false)]
     {
-        for controller in ["bs", "bs-qsmdo", "bs-qismc"] {
-            let counted = [&step, &law, &calibration];
-            let trace = Trace::record(controller, machine, &counted, &code)?;
+        for (controller, scenario, law) in [
+            ("bs", "paper", Some(&paper)),
+            ("bs-qsmdo", "paper", Some(&paper)),
+            ("bs-qismc", "paper", Some(&paper)),
+            ("drive-qsmdo", "encoder", Some(&drive_form)),
+            ("drive-qismc", "encoder", Some(&drive_form)),
+            ("pi", "encoder", None),
+            ("ladrc", "encoder", None),
+        ] {
+            let counted: Vec<&Range<u64>> = in_step.iter().chain([&calibration]).collect();
+            let trace = Trace::record(controller, scenario, machine, &counted, &code)?;
             let calls = trace.calls(&calibration, |address| calibration.contains(&address));
             ensure!(
                 matches!(calls[..], [Cost { instructions, .. }] if instructions == known),
@@ -93,10 +103,15 @@ fn table(elf: &Path) -> Result<String> {
                 writeln!(table, "{:<43} {row}", format!("{core} {controller} {what}"))?;
                 Ok(())
             };
-            row("law", trace.calls(&law, |address| law.contains(&address)))?;
-            row("estimators in it", trace.calls(&law, |address| estimators.contains(&address)))?;
-            let in_step = |address| step.contains(&address) || law.contains(&address);
-            row("Drive::step", trace.calls(&step, in_step))?;
+            if let Some(law) = law {
+                row("law", trace.calls(law, |address| law.contains(&address)))?;
+            }
+            if law == Some(&paper) {
+                let share = trace.calls(&paper, |address| estimators.contains(&address));
+                row("estimators in it", share)?;
+            }
+            let is_in_step = |address| in_step.iter().any(|range| range.contains(&address));
+            row("Drive::step", trace.calls(&step, is_in_step))?;
         }
     }
     writeln!(table, "\nbytes")?;
@@ -143,7 +158,8 @@ fn function(image: &object::File, part: &str, name: &str) -> Result<Range<u64>> 
         let symbol = symbol.name().unwrap_or_default();
         symbol.contains(part) && symbol.contains(name)
     };
-    let mut found = image.symbols().filter(|symbol| symbol.size() > 0 && matches(symbol));
+    let mut found =
+        image.symbols().filter(|symbol| symbol.kind() == SymbolKind::Text && matches(symbol));
     let symbol = found.next().with_context(|| format!("no {name} of {part} in the image"))?;
     ensure!(found.next().is_none(), "several {name} of {part} in the image");
     // The lowest bit of a Thumb function's address says only that it is one.
@@ -183,9 +199,10 @@ struct Cost {
 struct Trace(Vec<(u64, u64)>);
 
 impl Trace {
-    /// Plays the start of the paper's cycle on a machine and records what runs in `functions`.
+    /// Plays the start of a scenario on a machine and records what runs in `functions`.
     fn record(
         controller: &str,
+        scenario: &str,
         machine: &str,
         functions: &[&Range<u64>],
         code: &Code,
@@ -198,7 +215,8 @@ impl Trace {
         let qemu = ["-singlestep", "-d", "exec,nochain", "-dfilter", &filter.join(","), "-D"];
         let qemu = qemu.map(|argument| format!("--qemu-argument={argument}"));
         cargo(&["run", "--quiet", "--release", "--package", "host-sim", "--"])
-            .args(&["run", "host-sim/scenarios/paper.toml", "--duration", DURATION, "--json"])
+            .args(&["run", &format!("host-sim/scenarios/{scenario}.toml")])
+            .args(&["--duration", DURATION, "--json"])
             .args(&["--controller", controller, "--controller-on", "qemu", "--machine", machine])
             .args(&qemu)
             .args(&[format!("--qemu-argument={}", log.display())])

@@ -6,6 +6,7 @@
 use crate::thumb::{Code, Meaning};
 use anyhow::{Context, Result, bail, ensure};
 use std::collections::BTreeMap;
+use std::ops::Range;
 use std::path::Path;
 
 /// The handler, as its mangled name has it.
@@ -42,6 +43,17 @@ pub fn reach(code: &Code) -> Result<Reach> {
     let mut reached = BTreeMap::new();
     let stack = code.visit(handler, &mut Vec::new(), &mut reached)?;
     Ok(Reach { functions: reached.len(), stack: stack + EXCEPTION_FRAME })
+}
+
+/// A function and all that it calls: where each starts and ends.
+pub fn called(code: &Code, start: u64) -> Result<Vec<Range<u64>>> {
+    let mut reached = BTreeMap::new();
+    code.visit(start, &mut Vec::new(), &mut reached)?;
+    let function = |start: u64| {
+        let (_, last) = code.functions.get(&start)?.instructions.last_key_value()?;
+        Some(start..last.address + last.size)
+    };
+    reached.into_keys().map(|start| function(start).context("an empty function")).collect()
 }
 
 impl Code {

@@ -94,17 +94,21 @@ fn host_sim(arguments: &[&str]) -> Result<()> {
     cargo(&["run", "--release", "--package", "host-sim", "--"]).args(arguments).run()
 }
 
-/// The paper's whole cycle with the drive in QEMU, held to the host's bits, for each controller; less of it on the other
-/// core, which runs the same image.
+/// The drive in QEMU, held to the host's bits: the paper's whole cycle for each of its controllers; a second of it on a board's
+/// sensors for every other; and the other core, which runs the same image.
 fn processor_in_the_loop() -> Result<()> {
-    let play = |scenario: &str, controller: &str, machine: &str| {
-        let on_qemu = ["run", scenario, "--controller-on", "qemu", "--machine", machine];
-        host_sim(&[&on_qemu[..], &["--controller", controller]].concat())
+    let play = |scenario: &str, controller: &str, machine: &str, more: &[&str]| {
+        let file = format!("host-sim/scenarios/{scenario}.toml");
+        let on_qemu = ["run", &file, "--controller-on", "qemu", "--machine", machine];
+        host_sim(&[&on_qemu[..], &["--controller", controller], more].concat())
     };
     for controller in ["bs", "bs-qsmdo", "bs-qismc"] {
-        play("host-sim/scenarios/paper.toml", controller, "mps2-an386")?;
+        play("paper", controller, "mps2-an386", &[])?;
     }
-    play("host-sim/scenarios/load-step.toml", "bs-qsmdo", "mps2-an500")
+    for controller in ["drive-qsmdo", "drive-qismc", "pi", "ladrc"] {
+        play("encoder", controller, "mps2-an386", &["--duration", "1"])?;
+    }
+    play("load-step", "bs-qsmdo", "mps2-an500", &["--duration", "2"])
 }
 
 fn test(toolchain: ToolchainChoice) -> Result<()> {

@@ -2,7 +2,7 @@
 
 use crate::config::{ConfigError, require};
 use crate::control::injection::Injection;
-use crate::math::Scalar;
+use crate::math::{Scalar, atanh};
 use serde::{Deserialize, Serialize};
 
 /// How a channel's differential equation is stepped at the PWM rate.
@@ -76,6 +76,8 @@ pub(super) struct Channel<S: Scalar> {
     injection: Injection<S>,
     reach: S::Gain,
     start: Start,
+    layer: f32,
+    beta: f32,
 }
 
 impl<S: Scalar> Channel<S> {
@@ -112,6 +114,8 @@ impl<S: Scalar> Channel<S> {
             injection: Injection::new(beta, layer),
             reach: S::gain(-beta * layer),
             start: config.start,
+            layer,
+            beta,
         })
     }
 
@@ -122,6 +126,17 @@ impl<S: Scalar> Channel<S> {
             Start::Zero => S::ZERO,
         };
         self.memory = -S::combine([(self.time_now, rate)]);
+    }
+
+    /// Starts at a sample so that the first step gives the injection `value`, within ±0.99. Gives that.
+    pub fn resume(&mut self, signal: S, rate: S, value: f32) -> S {
+        self.before = signal;
+        self.memory = -S::combine([(self.time_now, rate)]);
+        let value = value.clamp(-0.99, 0.99);
+        // y + β·ε·tanh(y/ε) = σ.
+        let mismatch = self.layer * (atanh(value) + self.beta * value);
+        self.memory = self.memory + S::from_f32(mismatch);
+        S::from_f32(value)
     }
 
     /// One step: the signal and its modelled rate at this sample → the injection g, within ±1.

@@ -29,6 +29,8 @@ pub(super) struct Estimator<S: Scalar> {
     /// How much of the reference's motion is taken off what the first channel watches: nothing (QSMDO) or all (QISMC).
     share: S::Gain,
     k1: S::Gain,
+    /// k1 once more (rad/s²).
+    strength: f32,
     first: Channel<S>,
     second: Channel<S>,
 }
@@ -69,6 +71,7 @@ impl<S: Scalar> Estimator<S> {
         Ok(Self {
             share: S::gain(share),
             k1: S::gain(gains.k1),
+            strength: gains.k1,
             first: Channel::new(&first)?,
             second: Channel::new(&second)?,
         })
@@ -83,6 +86,25 @@ impl<S: Scalar> Estimator<S> {
     /// Starts the second channel at a sample; arguments as for [`lumped`](Self::lumped).
     pub fn start_lumped(&mut self, z2: S, wanted_rate: S) {
         self.second.start(z2, wanted_rate);
+    }
+
+    /// Starts the first channel so that the first step gives `disturbance` (rad/s²), as far as k1 allows; tells what it will
+    /// be. Other arguments as for [`disturbance`](Self::disturbance).
+    pub fn resume_disturbance(
+        &mut self,
+        speed: S,
+        modelled: S,
+        reference: &Reference<S>,
+        disturbance: S,
+    ) -> S {
+        let (signal, rate) = self.watched(speed, modelled, reference);
+        let value = self.first.resume(signal, rate, disturbance.to_f32() / self.strength);
+        S::combine([(self.k1, value)])
+    }
+
+    /// Starts the second channel with nothing to tell; arguments as for [`lumped`](Self::lumped).
+    pub fn resume_lumped(&mut self, z2: S, wanted_rate: S) {
+        self.second.resume(z2, wanted_rate, 0.0);
     }
 
     /// d̂ (rad/s²), from the speed ω, the acceleration −a1·ω + a2·i and the reference.

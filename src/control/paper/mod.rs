@@ -78,11 +78,28 @@ impl<S: Scalar> Paper<S> {
         estimator.start_disturbance(speed, modelled, reference);
     }
 
-    // Not inlined, for its instructions to be counted apart from its caller's.
-    #[inline(never)]
+    /// Takes over: the current that it finds is what holds the speed.
+    pub fn resume(&mut self, speed: S, measured: &Measured<S>, reference: &Reference<S>) {
+        self.speed.resume(speed);
+        let modelled = self.law.modelled_acceleration(speed, measured.current);
+        self.acceleration = reference.acceleration;
+        let Some(estimator) = &mut self.estimator else { return };
+        let held = reference.acceleration - modelled;
+        let disturbance = estimator.resume_disturbance(speed, modelled, reference, held);
+        let z1 = speed - reference.speed;
+        let z2 = self.law.z2(z1, modelled, reference, disturbance);
+        estimator.resume_lumped(z2, self.law.z2_rate(z1, z2));
+    }
+
+    #[inline]
     pub fn step(&mut self, measured: &Measured<S>, reference: &Reference<S>) -> S {
         let speed = self.speed.step(measured, self.acceleration);
-        let current = measured.current;
+        self.control(speed, measured.current, reference)
+    }
+
+    // Not inlined, for its instructions to be counted apart from its caller's.
+    #[inline(never)]
+    fn control(&mut self, speed: S, current: S, reference: &Reference<S>) -> S {
         let z1 = speed - reference.speed;
         let modelled = self.law.modelled_acceleration(speed, current);
         let (z2, disturbance, lumped) = match &mut self.estimator {
