@@ -138,6 +138,8 @@ impl Rig {
                 steps: Vec::new(),
                 shape: ShapeName::SecondOrder,
                 bandwidth: Some(60.0),
+                acceleration: None,
+                jerk: None,
             },
             load: Load::default(),
         }

@@ -75,6 +75,7 @@ impl Family {
         // As the controllers count it.
         let age = match rig.reads {
             ReadsName::All => 15.0 / 32.0 / RATE,
+            ReadsName::Shifted => 0.5 / RATE,
             ReadsName::Last => 0.0,
         };
         let lag = || match source() {
