@@ -653,11 +653,11 @@ mod tests {
         let reference = Reference::constant(0.0);
         // 10 V more than the model wants for no current.
         for _ in 0..100 {
-            form.step(&measured(0.0, 0.0), &reference, 10.0);
+            form.step((0.0, 0.0), 0.0, &reference, 10.0);
         }
         assert!(form.sliding_variables()[1] < -1.0, "{:?}", form.sliding_variables());
         form.start(&measured(0.0, 0.0), &reference);
-        form.step(&measured(0.0, 0.0), &reference, 0.0);
+        form.step((0.0, 0.0), 0.0, &reference, 0.0);
         assert_eq!(form.sliding_variables()[1], 0.0);
     }
 
