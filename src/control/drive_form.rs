@@ -669,6 +669,20 @@ mod tests {
     }
 
     #[test]
+    fn a_start_forgets_what_the_armature_lacked() {
+        let mut form = built(&GOOD, TIMING).expect("valid");
+        let reference = Reference::constant(0.0);
+        // 10 V more than the model wants for no current.
+        for _ in 0..100 {
+            form.step((0.0, 0.0), 0.0, &reference, 10.0);
+        }
+        assert!(form.sliding_variables()[1] < -1.0, "{:?}", form.sliding_variables());
+        form.start(&measured(0.0, 0.0), &reference);
+        form.step((0.0, 0.0), 0.0, &reference, 0.0);
+        assert_eq!(form.sliding_variables()[1], 0.0);
+    }
+
+    #[test]
     fn more_inertia_than_the_model_has_is_not_stuck() {
         // 20 A and a fifth of the model's acceleration: beyond authority for 30 ms, and 89 rad/s nearer.
         let mut form = built(&GOOD, TIMING).expect("valid");
