@@ -189,7 +189,6 @@ impl<S: Scalar> ReadyController<S> {
             motor: &motor,
             timing,
             shaft: &config.sensors.shaft(timing.period()),
-            counts: config.sensors.counts(),
             ranges: &Ranges {
                 speed: limits.speed,
                 current: limits.current,

@@ -112,6 +112,8 @@ pub(crate) struct Shaft {
     pub age: f32,
     /// The angle of a unit of [`Rotation`] (rad).
     pub unit: f32,
+    /// Whether a sample holds 16 reads of a counter that count.
+    pub counts: bool,
 }
 
 /// Observer of the angle and the speed, for encoder reads that are a known time old.
@@ -139,7 +141,8 @@ pub(crate) struct AngleObserver<S: Scalar> {
     share: S,
     /// Speed below which the mean's counts alone (rad/s).
     slow: S,
-    half: S,
+    /// From the edge below a counter's reads to where they are in the mean: half a count, or nothing.
+    offset: S,
     per_read: S::Gain,
     angle_gain: S::Gain,
     speed_gain: S::Gain,
@@ -151,11 +154,12 @@ impl<S: Scalar> AngleObserver<S> {
     ///
     /// For reads that are τ old the same poles need the gains shifted by τ along the model: g1 + τ·g2 + τ²/2·g3, g2 + τ·g3, g3.
     pub fn new([g1, g2]: [f32; 2], g3: f32, shaft: &Shaft) -> Self {
-        let &Shaft { period, least_age, age, unit } = shaft;
+        let &Shaft { period, least_age, age, unit, counts } = shaft;
+        let offset = S::from_f32(if counts { 0.5 } else { 0.0 });
         let distance = period / READS as f32;
         Self {
             speed: S::ZERO,
-            lead: S::ZERO,
+            lead: offset,
             period: S::gain(period / unit),
             half_period_squared: S::gain(0.5 * period * period / unit),
             time: S::gain(period),
@@ -165,7 +169,7 @@ impl<S: Scalar> AngleObserver<S> {
             distance_back: S::gain(-0.5 * period * distance / unit),
             share: S::from_f32(0.1),
             slow: S::from_f32(0.05 * unit.abs() / period),
-            half: S::from_f32(0.5),
+            offset,
             per_read: S::gain(1.0 / READS as f32),
             angle_gain: S::gain(g1 + age * (g2 + 0.5 * age * g3)),
             speed_gain: S::gain((g2 + age * g3) * unit),
@@ -175,7 +179,7 @@ impl<S: Scalar> AngleObserver<S> {
     /// Goes on from a known speed (rad/s).
     pub fn resume(&mut self, speed: S) {
         self.speed = speed;
-        self.lead = S::combine([(self.age, speed)]);
+        self.lead = S::combine([(self.age, speed)]) + self.offset;
     }
 
     /// On to the next sample, with the mean acceleration since (rad/s²).
@@ -206,8 +210,7 @@ impl<S: Scalar> AngleObserver<S> {
         let at_last_read = self.lead + rotation.behind - rotation.shift * distance;
         let counted = S::counted(at_last_read, distance);
         let of_counts = rotation.behind - S::combine([(self.per_read, counted)]);
-        // A count is the angle from its edge to the next: half a count more in the mean.
-        let of_mean = self.innovation_of_mean(distance, rotation, acceleration) + self.half;
+        let of_mean = self.innovation_of_mean(distance, rotation, acceleration);
         let share = if self.speed.abs() < self.slow { S::ONE } else { self.share };
         of_counts + share * (of_mean - of_counts)
     }
@@ -221,7 +224,7 @@ impl<S: Scalar> AngleObserver<S> {
     #[inline]
     fn innovation_of_mean(&self, distance: S, rotation: &Rotation<S>, acceleration: S) -> S {
         let expected = S::combine([(self.age, self.speed), (self.half_age_squared, acceleration)]);
-        expected + rotation.shift * distance - self.lead
+        expected + rotation.shift * distance + self.offset - self.lead
     }
 
     /// Takes a share of the innovation into the estimates. Gives the correction of the speed (rad/s).
@@ -241,7 +244,7 @@ mod tests {
     const PERIOD: f32 = 5e-5;
 
     fn shaft(age: f32) -> Shaft {
-        Shaft { period: PERIOD, least_age: age, age, unit: 1.0 }
+        Shaft { period: PERIOD, least_age: age, age, unit: 1.0, counts: false }
     }
 
     fn measured(advance: f32) -> Measured<f32> {

@@ -2,6 +2,7 @@
 
 use host_sim::board::SimulatedBoard;
 use host_sim::scenario::{Controller, Scenario};
+use host_sim::sensors::ReadsName;
 use quasidrive::drive::{Drive, Mode, ReadyController};
 use quasidrive::hal::{Board, BridgeCommand};
 use std::path::Path;
@@ -10,6 +11,8 @@ fn scenario(controller: Controller) -> Scenario {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("host-sim/scenarios/encoder.toml");
     let mut scenario = Scenario::read(&file).expect("a shipped scenario");
     scenario.load.sines.clear();
+    // Shifted reads suit the drive form; to the others they are noise.
+    scenario.sensors.as_mut().expect("some").reads = ReadsName::All;
     scenario.control.controller = controller;
     // Gains of the paper's form that such sensors can feed: a twentieth of the paper's bandwidths, twenty times its authority.
     scenario.gains.c = 400.0;

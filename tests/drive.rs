@@ -176,7 +176,7 @@ fn exact(mut scenario: Scenario) -> Scenario {
 fn the_papers_cycle() {
     let scenario = on_sensors(Controller::DriveQsmdo);
     // With a smooth reference, and with jumps, which take most of the error whatever the sensors.
-    for (scenario, expected) in [(shaped(scenario.clone(), 60.0), 0.0202), (scenario, 1.842)] {
+    for (scenario, expected) in [(shaped(scenario.clone(), 60.0), 0.0207), (scenario, 1.842)] {
         let real = cycle::<f32>(&scenario);
         let ideal = cycle::<f32>(&exact(scenario));
         assert_within("rms z1 against exact sensors", real.rms / ideal.rms, [0.97, 1.03]);
@@ -369,10 +369,10 @@ fn error_at_beats_of_counts_and_samples() {
         .expect("valid scenario");
         rms(&errors)
     };
-    // Shifted at random from period to period, the reads see no beats, and more noise between them.
+    // Shifted at random from period to period, the reads see no beats, and a little more noise between them.
     for (reads, median, worst_at_beats) in [
         (ReadsName::All, [1.2e-3, 2.5e-3], [0.05, 0.16]),
-        (ReadsName::Shifted, [4.5e-3, 9e-3], [4e-3, 0.03]),
+        (ReadsName::Shifted, [2.5e-3, 5.5e-3], [4e-3, 0.03]),
     ] {
         let mut errors: Vec<f64> =
             (0..=135).map(|step| error(reads, 5.0 + f64::from(step))).collect();
@@ -913,7 +913,7 @@ fn without_a_bus_the_motor_is_followed_all_the_same() {
     });
     assert_eq!(fault, None);
     assert_within("current", current, [2.0, 6.0]);
-    assert_within("z1", error, [0.01, 1.0]);
+    assert_within("z1", error, [0.01, 2.0]);
 }
 
 #[test]

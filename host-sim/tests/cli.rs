@@ -293,7 +293,7 @@ fn bench_reports_and_refuses() {
 fn a_drive_is_armed_on_a_turning_motor() {
     let (_folder, file) = edited(
         "[reference]",
-        "[initial]\nspeed = 50.0\narmed_after = 0.25\n\n[sensors]\n\n[reference]",
+        "[initial]\nspeed = 50.0\narmed_after = 0.25\n\n[sensors]\ncodes = 16384\n\n[reference]",
     );
     let run = |arguments: &[&str]| {
         let mut command = host_sim();

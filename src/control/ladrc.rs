@@ -129,7 +129,7 @@ impl<S: Scalar> Ladrc<S> {
     pub fn new(config: &LadrcConfig, setting: &Setting) -> Result<Self, ConfigError> {
         let &LadrcConfig { control_bandwidth, observer_bandwidth, current_bandwidth, speed } =
             config;
-        let &Setting { motor, timing, shaft, ranges, .. } = setting;
+        let &Setting { motor, timing, shaft, ranges } = setting;
         let period = timing.period();
         let current =
             CurrentLoop::new("control.ladrc.current_bandwidth", current_bandwidth, setting)?;
@@ -285,13 +285,7 @@ mod tests {
     fn friction_is_no_disturbance_but_is_taken_off() {
         let motor = MotorParameters { viscous_friction: 1e-4, ..MOTOR };
         let known = motor.coefficients().expect("valid");
-        let setting = Setting {
-            motor: &known,
-            timing: &TIMING,
-            shaft: &SHAFT,
-            counts: false,
-            ranges: &RANGES,
-        };
+        let setting = Setting { motor: &known, timing: &TIMING, shaft: &SHAFT, ranges: &RANGES };
         let ladrc = Ladrc::new(&config(400.0, SpeedSource::Exact), &setting).expect("valid");
         let mut rig = rig(config(400.0, SpeedSource::Exact), motor);
         rig.controller = crate::control::Controller::Ladrc(ladrc);

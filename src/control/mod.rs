@@ -77,8 +77,6 @@ pub(crate) struct Setting<'a> {
     pub timing: &'a Timing,
     /// What is known of the shaft's angle.
     pub shaft: &'a Shaft,
-    /// Whether a sample holds 16 reads of a counter.
-    pub counts: bool,
     /// What it may see and ask for.
     pub ranges: &'a Ranges,
 }

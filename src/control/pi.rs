@@ -116,7 +116,7 @@ impl<S: Scalar> CascadedPi<S> {
     pub fn new(config: &PiConfig, setting: &Setting) -> Result<Self, ConfigError> {
         let &PiConfig { current_bandwidth, speed_bandwidth, speed_damping, disturbance, speed } =
             config;
-        let &Setting { motor, timing, shaft, ranges, .. } = setting;
+        let &Setting { motor, timing, shaft, ranges } = setting;
         let period = timing.period();
         let current = CurrentLoop::new("control.pi.current_bandwidth", current_bandwidth, setting)?;
         let estimator = SpeedEstimator::new(&speed, shaft)?;
@@ -405,7 +405,7 @@ pub(super) mod rig {
 
     pub const TIMING: Timing = Timing { rate: 20_000.0, delay: true };
     pub const SHAFT: Shaft =
-        Shaft { period: 1.0 / TIMING.rate, least_age: 0.0, age: 0.0, unit: 1.0 };
+        Shaft { period: 1.0 / TIMING.rate, least_age: 0.0, age: 0.0, unit: 1.0, counts: false };
     pub const RANGES: Ranges = Ranges { speed: 400.0, current: 40.0, current_command: 15.0 };
 
     /// A field's refusal, if there is one, of a controller for the paper's motor.
@@ -437,13 +437,8 @@ pub(super) mod rig {
 
         fn try_new(config: &ControlConfig, motor: MotorParameters) -> Result<Self, &'static str> {
             let known = MotorParameters::PAPER.coefficients().expect("valid");
-            let setting = Setting {
-                motor: &known,
-                timing: &TIMING,
-                shaft: &SHAFT,
-                counts: false,
-                ranges: &RANGES,
-            };
+            let setting =
+                Setting { motor: &known, timing: &TIMING, shaft: &SHAFT, ranges: &RANGES };
             Ok(Self {
                 controller: Controller::new(config, &setting).map_err(|error| error.field)?,
                 state: [0.0; 5],
@@ -605,13 +600,7 @@ mod tests {
     #[test]
     fn the_current_loop_has_the_magnitude_optimums_step_response() {
         let known = MOTOR.coefficients().expect("valid");
-        let setting = Setting {
-            motor: &known,
-            timing: &TIMING,
-            shaft: &SHAFT,
-            counts: false,
-            ranges: &RANGES,
-        };
+        let setting = Setting { motor: &known, timing: &TIMING, shaft: &SHAFT, ranges: &RANGES };
         let bandwidth = magnitude_optimum(&TIMING);
         let mut current = CurrentLoop::<f32>::new("current", bandwidth, &setting).expect("valid");
         // An armature that does not turn, one period late, by its difference equation.

@@ -34,7 +34,7 @@ pub(crate) struct Paper<S: Scalar> {
 
 impl<S: Scalar> Paper<S> {
     pub fn new(config: &PaperConfig, setting: &Setting) -> Result<Self, ConfigError> {
-        let &Setting { motor, timing, shaft, ranges, .. } = setting;
+        let &Setting { motor, timing, shaft, ranges } = setting;
         let gains = &config.gains;
         gains.check()?;
         require(
