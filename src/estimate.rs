@@ -203,7 +203,7 @@ impl<S: Scalar> AngleObserver<S> {
     ///
     /// A tenth of the plain innovation keeps the estimate from wandering within a count; where there is no edge for many
     /// periods, all of it.
-    #[inline]
+    #[inline(always)]
     pub fn innovation_of_counts(&mut self, rotation: &Rotation<S>, acceleration: S) -> S {
         self.predict(rotation, acceleration);
         let distance = self.distance(acceleration);

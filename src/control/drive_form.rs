@@ -300,7 +300,7 @@ impl<S: Scalar> DriveForm<S> {
     }
 
     /// Runs the observer of angle, speed and disturbance.
-    #[inline]
+    #[inline(always)]
     fn observe(&mut self, rotation: &Rotation<S>, current: S, jump: S) {
         let both = self.current + current;
         let acceleration = S::combine([(self.half_a2, both), (self.minus_a1, self.observer.speed)])
