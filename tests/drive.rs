@@ -937,3 +937,29 @@ fn a_current_sensor_that_is_reversed_is_no_run_away() {
         }
     }
 }
+
+#[test]
+fn the_ripple_is_about_what_was_asked_for() {
+    for (counts, asked) in [(1024, 20e-3), (4096, 2e-3), (4096, 5e-3), (16384, 2e-3)] {
+        // In the geometric mean over speeds: each has its own.
+        let mut logarithms = Vec::new();
+        for speed in [11.0, 23.0, 41.0, 59.0, 77.0, 95.0, 113.0, 131.0] {
+            let mut scenario = at(Controller::DriveQsmdo, speed, 0.02, 0.3);
+            scenario.sensors.as_mut().expect("some").counts_per_turn = counts;
+            scenario.tuning.bandwidth = None;
+            scenario.tuning.ripple = Some(asked);
+            let mut voltages = Vec::new();
+            simulate::<f32>(&scenario, |frame| {
+                if frame.time >= 0.1 {
+                    voltages.push(frame.voltage);
+                }
+            })
+            .expect("valid scenario");
+            let mean = voltages.iter().sum::<f64>() / voltages.len() as f64;
+            let about: Vec<f64> = voltages.iter().map(|voltage| voltage - mean).collect();
+            logarithms.push(rms(&about).ln());
+        }
+        let ripple = (logarithms.iter().sum::<f64>() / logarithms.len() as f64).exp();
+        assert_within(&format!("{counts} counts, {asked} V: ripple"), ripple / asked, [0.5, 2.0]);
+    }
+}

@@ -729,21 +729,25 @@ impl Scenario {
 
     fn drive_form(&self) -> DriveFormConfig {
         let &Tuning { bandwidth, ripple, load_torque, voltage_reserve, .. } = &self.tuning;
-        let motor = self.believed_motor();
+        let (motor, timing) = (self.believed_motor(), self.believed_timing());
+        let calibration = self.sensors.unwrap_or_default().calibration();
         let limits = &self.limits;
         let current = limits.current_command.unwrap_or(0.5 * limits.current);
-        let bandwidth = bandwidth.map_or_else(
-            || {
-                let ripple = ripple.unwrap_or(1e-3 * self.bus.voltage);
-                let calibration = self.sensors.unwrap_or_default().calibration();
-                let timing = self.believed_timing();
-                bandwidth_for_ripple(&motor, &timing, &calibration, ripple as f32)
-            },
-            |bandwidth| bandwidth as f32,
+        let default = DriveFormConfig::default_for(
+            &motor,
+            &timing,
+            &calibration,
+            self.bus.voltage as f32,
+            current as f32,
         );
-        let torque = load_torque.unwrap_or(self.motor.back_emf_constant * current);
-        let reserve = voltage_reserve.unwrap_or(0.1 * self.bus.voltage);
-        let mut config = DriveFormConfig::new(bandwidth, torque as f32, reserve as f32);
+        let mut knob = default.observer_bandwidth;
+        if let Some(ripple) = ripple {
+            knob = bandwidth_for_ripple(&motor, &timing, &calibration, ripple as f32);
+        }
+        replace(&mut knob, bandwidth);
+        let mut config = DriveFormConfig::new(knob, default.load_torque, default.voltage_reserve);
+        replace(&mut config.load_torque, load_torque);
+        replace(&mut config.voltage_reserve, voltage_reserve);
         replace(&mut config.speed_bandwidth, self.tuning.speed_bandwidth);
         replace(&mut config.current_bandwidth, self.tuning.current_bandwidth);
         replace(&mut config.voltage_bandwidth, self.tuning.voltage_bandwidth);

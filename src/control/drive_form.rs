@@ -39,7 +39,8 @@ pub enum Memory {
     /// ω̂ (BS-QSMDO).
     #[default]
     Observer,
-    /// z1 (BS-QISMC).
+    /// z1 (BS-QISMC). For shaped references: a jump throws d̂ to the end of its authority, and the speed overshoots until that is
+    /// unlearnt.
     Integral,
 }
 
@@ -105,8 +106,9 @@ impl DriveFormConfig {
 /// The observer's bandwidth (rad/s) at which the encoder's counts make a voltage ripple of about `ripple` (V rms), where all of a
 /// period's reads count; within 0.03 and 0.1 of the sampling rate.
 ///
-/// Ripple ≈ 0.4·(J·h/(Kb·Bd))·q·wo³·(wo·h): fitted to simulations of six motors of 10 W to 250 W at 10 to 40 kHz, to within a
-/// third; an encoder whose edges are misplaced by a twentieth of a count makes three times that.
+/// Ripple ≈ 0.2·(J·h/(Kb·Bd))·q·wo³·(wo·h), about the mean at a constant speed: fitted to simulations of six motors of 10 W to 250 W
+/// at 10 to 40 kHz, to within a third or so (`tests/drive.rs` has the paper's). An encoder whose edges are misplaced by a
+/// twentieth of a count makes three to four times that.
 pub fn bandwidth_for_ripple(
     motor: &MotorParameters,
     timing: &Timing,
@@ -116,7 +118,7 @@ pub fn bandwidth_for_ripple(
     let h = timing.period();
     let held = -exp_m1(-h * motor.resistance / motor.inductance) / motor.resistance;
     let count = calibration.count().abs();
-    let fourth = ripple * motor.back_emf_constant * held / (0.4 * motor.inertia * h * h * count);
+    let fourth = ripple * motor.back_emf_constant * held / (0.2 * motor.inertia * h * h * count);
     sqrt(sqrt(fourth)).clamp(0.03 / h, 0.1 / h)
 }
 
@@ -581,9 +583,9 @@ mod tests {
         let of = |ripple: f32, counts: i32| {
             bandwidth_for_ripple(&MotorParameters::PAPER, &TIMING, &calibration(counts), ripple)
         };
-        // 0.4·(J·h/(Kb·Bd))·q·wo⁴·h at 1170 rad/s: Bd = (1 − e^(−1/3))/0.7 A/V.
+        // 0.2·(J·h/(Kb·Bd))·q·wo⁴·h at 1170 rad/s: Bd = (1 − e^(−1/3))/0.7 A/V.
         let held = (1.0 - (-1.0_f64 / 3.0).exp()) / 0.7;
-        let ripple = 0.4 * 7.95e-5 * 5e-5 / (59e-3 * held) * core::f64::consts::TAU / 4096.0
+        let ripple = 0.2 * 7.95e-5 * 5e-5 / (59e-3 * held) * core::f64::consts::TAU / 4096.0
             * 1170_f64.powi(4)
             * 5e-5;
         assert!(
