@@ -3,7 +3,7 @@
 use crate::config::{ConfigError, positive, require};
 use crate::hal::READS;
 use crate::math::{Scalar, exp_m1};
-use crate::sense::{Measured, Rotation};
+use crate::sense::{Measured, Rotation, Shaft};
 use serde::{Deserialize, Serialize};
 
 /// Where a controller that wants a speed has it from.
@@ -99,21 +99,6 @@ fn checked(bandwidth: f32, period: f32) -> Result<f32, ConfigError> {
         "must be at most the sampling rate",
         bandwidth,
     )
-}
-
-/// What is known of a shaft's angle.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Shaft {
-    /// Sampling period (s).
-    pub period: f32,
-    /// How long before a sample the mean of its reads lies when they are not shifted (s).
-    pub least_age: f32,
-    /// How long it lies before it in the mean (s).
-    pub age: f32,
-    /// The angle of a unit of [`Rotation`] (rad).
-    pub unit: f32,
-    /// Whether a sample holds 16 reads of a counter that count.
-    pub counts: bool,
 }
 
 /// Observer of the angle and the speed, for encoder reads that are a known time old.

@@ -1,7 +1,6 @@
 //! From a board's sample to SI units: the only place that knows codes and counts.
 
 use crate::config::{ConfigError, positive, require};
-use crate::estimate::Shaft;
 use crate::hal::{Codes, Exact, READS, Sample};
 use crate::math::Scalar;
 use serde::{Deserialize, Serialize};
@@ -99,6 +98,21 @@ pub struct Rotation<S> {
     pub behind: S,
     /// How much earlier than usual the reads were, in distances of two reads, from 0 to 1.
     pub shift: S,
+}
+
+/// What is known of a shaft's angle.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Shaft {
+    /// Sampling period (s).
+    pub period: f32,
+    /// How long before a sample the mean of its reads lies when they are not shifted (s).
+    pub least_age: f32,
+    /// How long it lies before it in the mean (s).
+    pub age: f32,
+    /// The angle of a unit of [`Rotation`] (rad).
+    pub unit: f32,
+    /// Whether a sample holds 16 reads of a counter that count.
+    pub counts: bool,
 }
 
 /// A sample in SI units.

@@ -2,6 +2,7 @@
 //!
 //! - [`plant`]: motor, friction, and their integration;
 //! - [`profile`]: quantities that change over time;
+//! - [`sensors`]: what converters and counters make of the truth;
 //! - [`board`]: the simulated board, which implements [`quasidrive::hal::Board`];
 //! - [`double`]: a double-precision scalar, to run the same laws without rounding in the way;
 //! - [`scenario`]: what to play, read from TOML and checked;
@@ -9,6 +10,7 @@
 //! - [`simulation`]: plays a scenario, period by period;
 //! - [`frame`]: what is recorded of a period; [`metrics`]: figures of merit of a run;
 //! - [`reproduction`]: the runs that reproduce the paper;
+//! - [`scoreboard`]: every controller on the same sensors, and the search for the best of its kind;
 //! - [`report`]: what they show, as HTML and in the terminal; [`plot`] and [`terminal`] draw its plots and tables.
 
 pub mod board;
@@ -22,6 +24,7 @@ pub mod profile;
 pub mod qemu;
 pub mod report;
 pub mod reproduction;
+mod rule;
 pub mod scenario;
 pub mod scoreboard;
 pub mod sensors;

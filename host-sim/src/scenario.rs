@@ -4,9 +4,9 @@
 
 use crate::plant::{MOST_STEPS, Motor, Plant, State};
 use crate::profile::{Load, Step};
+use crate::rule::{Broken, finite, non_negative, positive, rule};
 use crate::sensors::SensorsTable;
 use clap::ValueEnum;
-use quasidrive::config::ConfigError;
 use quasidrive::control::drive_form::{DriveFormConfig, Memory, bandwidth_for_ripple};
 use quasidrive::control::ladrc::LadrcConfig;
 use quasidrive::control::paper::{Form, Gains, Law, PaperConfig, Start};
@@ -434,45 +434,11 @@ impl fmt::Display for ScenarioError {
 const TOO_FAST: &str = "must not give, with the other parameters, a motor that takes more than 1000 integration steps \
                         a period";
 
-/// A field that breaks a rule.
-pub(crate) struct Broken {
-    field: String,
-    rule: String,
-}
-
-impl From<ConfigError> for Broken {
-    fn from(error: ConfigError) -> Self {
-        Self {
-            field: error.field.to_owned(),
-            rule: format!("{}, but is {:?}", error.rule, error.value),
-        }
-    }
-}
-
-pub(crate) fn rule(holds: bool, field: &str, rule: &str, value: f64) -> Result<(), Broken> {
-    if holds {
-        return Ok(());
-    }
-    Err(Broken { field: field.to_owned(), rule: format!("{rule}, but is {value:?}") })
-}
-
 /// Sets what the scenario sets.
 fn replace(field: &mut f32, value: Option<f64>) {
     if let Some(value) = value {
         *field = value as f32;
     }
-}
-
-pub(crate) fn finite(field: &str, value: f64) -> Result<(), Broken> {
-    rule(value.is_finite(), field, "must be finite", value)
-}
-
-pub(crate) fn positive(field: &str, value: f64) -> Result<(), Broken> {
-    rule(value > 0.0 && value.is_finite(), field, "must be positive and finite", value)
-}
-
-pub(crate) fn non_negative(field: &str, value: f64) -> Result<(), Broken> {
-    rule(value >= 0.0 && value.is_finite(), field, "must be zero or positive, and finite", value)
 }
 
 /// Checks the order of the times, and each value by `check_value`.

@@ -1,6 +1,6 @@
 //! The simulated board's sensors: what converters and counters make of the truth.
 
-use crate::scenario::{Broken, finite, non_negative, positive, rule};
+use crate::rule::{Broken, finite, non_negative, positive, rule};
 use quasidrive::hal::{Codes, READS};
 use quasidrive::sense::{Calibration, Reads};
 use rand::rngs::StdRng;

@@ -487,7 +487,7 @@ fn observer_gains(wo: f32, h: f32) -> [f32; 3] {
 mod tests {
     use super::*;
     use crate::control::Ranges;
-    use crate::estimate::Shaft;
+    use crate::sense::Shaft;
 
     #[test]
     fn gains_place_the_observers_poles() {

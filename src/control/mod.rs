@@ -14,10 +14,9 @@ pub mod paper;
 pub mod pi;
 
 use crate::config::{ConfigError, require};
-use crate::estimate::Shaft;
 use crate::math::Scalar;
 use crate::motor::Coefficients;
-use crate::sense::Measured;
+use crate::sense::{Measured, Shaft};
 use crate::trajectory::Reference;
 use drive_form::DriveForm;
 use ladrc::Ladrc;

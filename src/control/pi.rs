@@ -398,9 +398,8 @@ impl<S: Scalar> CurrentLoop<S> {
 #[cfg(test)]
 pub(super) mod rig {
     use crate::control::{ControlConfig, Controller, Ranges, Setting, Timing};
-    use crate::estimate::Shaft;
     use crate::motor::{Coefficients, MotorParameters};
-    use crate::sense::{Measured, Rotation};
+    use crate::sense::{Measured, Rotation, Shaft};
     use crate::trajectory::Reference;
 
     pub const TIMING: Timing = Timing { rate: 20_000.0, delay: true };
