@@ -102,9 +102,17 @@ pub enum Fault {
     /// reference: a load beyond what was configured or what the current command can hold, a blocked rotor, an encoder that does
     /// not count, or an encoder or motor lead connected the wrong way round.
     BeyondAuthority,
+    /// The voltage that acted was further from the armature's model than [`MODEL_SHARE`] of [`Limits::bus_max`] for
+    /// [`AUTHORITY_TIME`]: an encoder or motor lead connected the wrong way round, an encoder that does not count, an open
+    /// lead, or parameters far from the truth. Seen under every controller.
+    ModelMismatch,
 }
 
-/// How long load or voltage may be beyond the observers' authority (s).
+/// The voltage u − Ra·i − Kb·ω that is taken for a wrong parameter, as a share of [`Limits::bus_max`]: more is a wrong
+/// connection. Half the resistance wrong at the current that stalls the motor takes a half of the bus, but not for long.
+pub const MODEL_SHARE: f32 = 0.3;
+
+/// How long load, voltage or model may be beyond what is covered (s).
 pub const AUTHORITY_TIME: f32 = 0.025;
 
 /// Whether the drive drives.
@@ -169,9 +177,13 @@ pub struct Drive<S: Scalar> {
     controller: Controller<S>,
     /// Speed when the bridge was last off, or went off (rad/s).
     idle_speed: S,
-    /// Steps beyond authority that are a fault.
+    /// Steps beyond authority, or beyond the model, that are a fault.
     authority_steps: u32,
+    /// Steps in a row beyond the model.
+    mismatched: u32,
+    mismatch_limit: S,
     back_emf: S::Gain,
+    resistance: S::Gain,
     minus_inertia: S::Gain,
 }
 
@@ -226,7 +238,10 @@ impl<S: Scalar> Drive<S> {
             voltage: S::ZERO,
             idle_speed: S::ZERO,
             authority_steps: (AUTHORITY_TIME * timing.rate) as u32,
+            mismatched: 0,
+            mismatch_limit: S::from_f32(MODEL_SHARE * limits.bus_max),
             back_emf: S::gain(config.motor.back_emf_constant),
+            resistance: S::gain(config.motor.resistance),
             minus_inertia: S::gain(-config.motor.inertia),
         })
     }
@@ -316,6 +331,12 @@ impl<S: Scalar> Drive<S> {
         if exhausted > self.authority_steps && self.controller.stuck() {
             return self.refuse(Fault::BeyondAuthority);
         }
+        let modelled = S::combine([(self.resistance, measured.current), (self.back_emf, speed)]);
+        let is_mismatched = (self.voltage - modelled).abs() > self.mismatch_limit;
+        self.mismatched = if is_mismatched { self.mismatched.wrapping_add(1) } else { 0 };
+        if self.mismatched > self.authority_steps {
+            return self.refuse(Fault::ModelMismatch);
+        }
         let duty = (voltage / measured.bus_voltage).limited(self.duty_limit);
         self.voltage = duty * measured.bus_voltage;
         BridgeCommand::Duty(duty)
@@ -338,6 +359,7 @@ impl<S: Scalar> Drive<S> {
         }
         self.driving = true;
         self.driven = true;
+        self.mismatched = 0;
         if core::mem::replace(&mut self.changed, false) {
             let reference = *self.shaper.clone().advance();
             self.controller.resume(self.idle_speed, &measured, &reference, self.voltage);

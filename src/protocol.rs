@@ -138,7 +138,7 @@ pub struct Record {
     pub telemetry: Option<Telemetry<f32>>,
 }
 
-const MODES: [Mode; 9] = [
+const MODES: [Mode; 10] = [
     Mode::Off,
     Mode::Running,
     Mode::Faulted(Fault::BadSample),
@@ -148,6 +148,7 @@ const MODES: [Mode; 9] = [
     Mode::Faulted(Fault::BusOvervoltage),
     Mode::Faulted(Fault::EncoderJump),
     Mode::Faulted(Fault::BeyondAuthority),
+    Mode::Faulted(Fault::ModelMismatch),
 ];
 
 /// Bit of a record's first word that says that there is a duty.

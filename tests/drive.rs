@@ -553,6 +553,11 @@ fn start_reversed(
     (fault, fastest)
 }
 
+/// Whichever of the two that tell it comes first.
+fn is_out_of_control(fault: Fault) -> bool {
+    matches!(fault, Fault::BeyondAuthority | Fault::ModelMismatch)
+}
+
 #[test]
 fn wrong_signs_are_a_fault_in_the_drive_form() {
     for controller in DRIVE_FORMS {
@@ -566,7 +571,7 @@ fn wrong_signs_are_a_fault_in_the_drive_form() {
                     let (fault, fastest) = start_reversed(&scenario, what, 0.1);
                     let case = format!("{controller}, {what:?}, smooth: {smooth}, {torque:?}");
                     let (time, fault) = fault.expect(&case);
-                    assert_eq!(fault, Fault::BeyondAuthority, "{case}");
+                    assert!(is_out_of_control(fault), "{case}: {fault:?}");
                     assert_within(&case, time, [0.025, 0.05]);
                     // The back-EMF seen the wrong way round brakes: 2·Kb·ω is what 20 A take and the reserve.
                     assert_within(&case, fastest, [60.0, 160.0]);
@@ -577,30 +582,24 @@ fn wrong_signs_are_a_fault_in_the_drive_form() {
 }
 
 #[test]
-fn wrong_signs_are_not_seen_by_the_other_controllers() {
-    // What there is, not what should be: none of these has an observer that could tell. Only limits.speed protects.
-    for (controller, fastest_within) in [
-        (Controller::Pi, [300.0, 400.0]),
-        (Controller::Ladrc, [300.0, 400.0]),
-        (Controller::BsQsmdo, [20.0, 60.0]),
-    ] {
+fn wrong_signs_are_a_fault_under_the_other_controllers_too() {
+    // They have no observer that could tell; the armature's voltage tells.
+    for controller in [Controller::Pi, Controller::Ladrc] {
         let scenario = commanded(at(controller, 0.0, 0.02, 0.5), &[(0.0, 60.0)]);
         for what in [Reversed::Encoder, Reversed::Leads] {
+            let case = format!("{controller}, {what:?}");
             let (fault, fastest) = start_reversed(&scenario, what, 0.5);
-            assert_eq!(fault, None, "{controller}, {what:?}");
-            assert_within(&format!("{controller}, {what:?}"), fastest, fastest_within);
+            let (time, fault) = fault.expect(&case);
+            assert_eq!(fault, Fault::ModelMismatch, "{case}");
+            assert_within(&case, time, [0.025, 0.05]);
+            assert_within(&case, fastest, [200.0, 330.0]);
         }
-        if controller == Controller::BsQsmdo {
-            continue;
-        }
-        let mut limited = scenario;
-        limited.limits.speed = 160.0;
-        let (fault, fastest) = start_reversed(&limited, Reversed::Encoder, 0.5);
-        let (time, fault) = fault.expect("overspeed");
-        assert_eq!(fault, Fault::Overspeed, "{controller}");
-        assert_within("time to the fault", time, [5e-3, 0.05]);
-        assert_within(&format!("{controller}"), fastest, [155.0, 175.0]);
     }
+    // The paper's form draws 24 A and stays slow: what there is, not what should be.
+    let scenario = commanded(at(Controller::BsQsmdo, 0.0, 0.02, 0.5), &[(0.0, 60.0)]);
+    let (fault, fastest) = start_reversed(&scenario, Reversed::Encoder, 0.5);
+    assert_eq!(fault, None);
+    assert_within("BS-QSMDO", fastest, [20.0, 60.0]);
 }
 
 #[test]
@@ -630,8 +629,9 @@ fn an_encoder_that_stops_counting_is_a_fault() {
             );
             let case = format!("{controller}, unplugged: {unplugged}, {speed} rad/s, {torque:?}");
             let (time, fault) = fault.expect(&case);
-            let expected = if unplugged { Fault::EncoderJump } else { Fault::BeyondAuthority };
-            assert_eq!(fault, expected, "{case}");
+            let expected =
+                if unplugged { fault == Fault::EncoderJump } else { is_out_of_control(fault) };
+            assert!(expected, "{case}: {fault:?}");
             // A counter that falls to zero is a jump: at once. Else the drive knows nothing until it has pushed in vain.
             assert_within(&case, time, if unplugged { [0.0, 1e-4] } else { [0.025, 0.06] });
             let most = if unplugged { 61.0 } else { 260.0 };
