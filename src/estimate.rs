@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 /// Where a controller that wants a speed has it from.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum SpeedSource {
-    /// From exact sensors: simulation only.
+    /// As the sensors tell it: exact ones (simulation only), or [the times of edges](crate::sense::Reads::Edges).
     Exact,
     /// The angle's difference over a period through a first-order low-pass.
     Difference {

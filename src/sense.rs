@@ -44,6 +44,9 @@ pub enum Reads {
     Shifted,
     /// The last one, for comparison.
     Last,
+    /// The last one for the angle; and the speed itself from the times of edges (M/T method), for comparison: counts from the
+    /// last edge of one period to the last edge of a later one, over the time between, to within the distance of two reads.
+    Edges,
 }
 
 impl Calibration {
@@ -58,7 +61,7 @@ impl Calibration {
             Reads::All => period * (READS - 1) as f32 / (2 * READS) as f32,
             // Half a read's distance earlier in the mean.
             Reads::Shifted => 0.5 * period,
-            Reads::Last => 0.0,
+            Reads::Last | Reads::Edges => 0.0,
         }
     }
 }
@@ -76,7 +79,8 @@ impl Sensors {
                 (unshifted.age(period), calibration.age(period), calibration.count())
             }
         };
-        let counts = matches!(self, Self::Codes(calibration) if calibration.reads != Reads::Last);
+        let counts =
+            matches!(self, Self::Codes(Calibration { reads: Reads::All | Reads::Shifted, .. }));
         Shaft { period, least_age, age, unit, counts }
     }
 
@@ -120,7 +124,7 @@ pub(crate) struct Shaft {
 pub struct Measured<S> {
     /// How the shaft turned.
     pub rotation: Rotation<S>,
-    /// Shaft speed ω (rad/s), from exact sensors; zero from an encoder.
+    /// Shaft speed ω (rad/s), from exact sensors or the times of edges; else zero.
     pub speed: S,
     /// Armature current i (A).
     pub current: S,
@@ -147,6 +151,51 @@ struct Encoder<S: Scalar> {
     per_read: S::Gain,
     /// Distances of two reads per unit of the shift.
     per_shift: S::Gain,
+    edges: Edges<S>,
+}
+
+/// Speed by the M/T method.
+#[derive(Clone, Debug)]
+struct Edges<S> {
+    /// The last read.
+    before: u16,
+    /// The count behind the last edge, if there was one.
+    last: Option<u16>,
+    /// Reads since then.
+    reads_since: i16,
+    /// Speed (rad/s).
+    speed: S,
+    /// Speed of a count from one read to the next (rad/s).
+    count_per_read: S,
+}
+
+impl<S: Scalar> Edges<S> {
+    fn step(&mut self, reads: &[u16; READS]) -> S {
+        let mut edge = None;
+        for (index, &read) in reads.iter().enumerate() {
+            if read != self.before {
+                edge = Some((index as i16 + 1, read));
+            }
+            self.before = read;
+        }
+        match edge {
+            Some((index, count)) => {
+                if let Some(last) = self.last.replace(count) {
+                    let reads = self.reads_since.saturating_add(index);
+                    let counts = S::from_difference(count.wrapping_sub(last) as i16);
+                    self.speed = counts * self.count_per_read / S::from_difference(reads);
+                }
+                self.reads_since = READS as i16 - index;
+            }
+            None => {
+                // As long as no edge comes the speed is at most a count in the time since the last one.
+                self.reads_since = self.reads_since.saturating_add(READS as i16);
+                let most = self.count_per_read / S::from_difference(self.reads_since);
+                self.speed = self.speed.limited(most.abs());
+            }
+        }
+        self.speed
+    }
 }
 
 impl<S: Scalar> Sensing<S> {
@@ -199,7 +248,7 @@ impl<S: Scalar> Sensing<S> {
         let (per_read, per_shift) = match calibration.reads {
             Reads::All => (1.0 / READS as f32, 0.0),
             Reads::Shifted => (1.0 / READS as f32, 1.0 / 256.0),
-            Reads::Last => (1.0, 0.0),
+            Reads::Last | Reads::Edges => (1.0, 0.0),
         };
         Ok(Self {
             encoder: Some(Encoder {
@@ -207,6 +256,13 @@ impl<S: Scalar> Sensing<S> {
                 reads: calibration.reads,
                 per_read: S::gain(per_read),
                 per_shift: S::gain(per_shift),
+                edges: Edges {
+                    before: 0,
+                    last: None,
+                    reads_since: 0,
+                    speed: S::ZERO,
+                    count_per_read: S::from_f32(calibration.count() * rate * READS as f32),
+                },
             }),
             current: S::gain(current_per_code),
             current_zero: S::from_f32(current_zero),
@@ -221,9 +277,14 @@ impl<S: Scalar> Sensing<S> {
             (Sample::Codes(codes), Some(encoder)) => {
                 let current = S::from_code(codes.current) - self.current_zero;
                 let bus_voltage = S::from_code(codes.bus_voltage);
+                let rotation = encoder.read(codes);
+                let speed = match encoder.reads {
+                    Reads::Edges => encoder.edges.step(&codes.encoder),
+                    _ => S::ZERO,
+                };
                 Some(Measured {
-                    rotation: encoder.read(codes),
-                    speed: S::ZERO,
+                    rotation,
+                    speed,
                     current: S::combine([(self.current, current)]),
                     bus_voltage: S::combine([(self.bus_voltage, bus_voltage)]),
                 })
@@ -247,7 +308,7 @@ impl<S: Scalar> Encoder<S> {
                 codes.encoder.iter().fold(0, |sum: u16, read| sum.wrapping_add(*read)),
                 last.wrapping_mul(READS as u16),
             ),
-            Reads::Last => (last, last),
+            Reads::Last | Reads::Edges => (last, last),
         };
         let counts =
             |difference: u16| S::combine([(self.per_read, S::from_difference(difference as i16))]);
@@ -369,6 +430,31 @@ mod tests {
             }
             let expected = 10.0 * shaft.unit / 5e-5;
             assert!((speed / expected - 1.0).abs() < 1e-3, "{speed} is not {expected}");
+        }
+    }
+
+    #[test]
+    fn edges_tell_the_speed_by_counts_and_times() {
+        for speed in [2.0_f64, 30.0, -30.0, 140.0] {
+            let mut sensing = sensing(Calibration { reads: Reads::Edges, ..GOOD });
+            let (period, count) = (5e-5, f64::from(COUNT));
+            let mut told = 0.0;
+            for number in 0..4000_u32 {
+                let encoder = core::array::from_fn(|read| {
+                    let time = (f64::from(number) + (read as f64 + 1.0) / 16.0) * period;
+                    // `as` rounds towards zero: kept positive.
+                    (speed * time / count + 30_000.3) as u16
+                });
+                told = f64::from(sensing.read(&codes(encoder)).expect("codes").speed);
+            }
+            // Two distances of reads in the time between the edges: a period, or a count if that takes longer.
+            let error = 2.0 / 16.0_f64.max(16.0 * count / (speed.abs() * period));
+            assert!((told / speed - 1.0).abs() < error, "{told} is not {speed}");
+            for _ in 0..2000 {
+                told = sensing.read(&codes([30_000; READS])).expect("codes").speed.into();
+            }
+            // Nothing for 0.1 s: a count in that time at most.
+            assert!(told.abs() <= count / 0.099, "{told} at rest");
         }
     }
 

@@ -5,7 +5,7 @@
 use crate::plant::{MOST_STEPS, Motor, Plant, State};
 use crate::profile::{Load, Step};
 use crate::rule::{Broken, finite, non_negative, positive, rule};
-use crate::sensors::SensorsTable;
+use crate::sensors::{ReadsName, SensorsTable};
 use clap::ValueEnum;
 use quasidrive::control::drive_form::{DriveFormConfig, Memory, bandwidth_for_ripple};
 use quasidrive::control::ladrc::LadrcConfig;
@@ -176,7 +176,7 @@ pub struct Control {
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq)]
 #[serde(rename_all = "kebab-case")]
 pub enum SpeedName {
-    /// From exact sensors.
+    /// As the sensors tell it: exact ones, or the times of edges.
     Exact,
     /// The angle's difference, low-passed.
     Difference,
@@ -650,7 +650,10 @@ impl Scenario {
     }
 
     fn speed_source(&self) -> SpeedSource {
-        let default = if self.sensors.is_some() { SpeedName::FedPll } else { SpeedName::Exact };
+        let default = match self.sensors {
+            Some(sensors) if sensors.reads != ReadsName::Edges => SpeedName::FedPll,
+            _ => SpeedName::Exact,
+        };
         let default_bandwidth = match self.control.controller {
             // Slow enough for the estimators of the paper's form to build on; the others want little lag.
             Controller::Bs | Controller::BsQsmdo | Controller::BsQismc => 1400.0,

@@ -65,6 +65,8 @@ pub enum ReadsName {
     Shifted,
     /// The last.
     Last,
+    /// The last, and the speed from the times of edges.
+    Edges,
 }
 
 impl SensorsTable {
@@ -95,6 +97,7 @@ impl SensorsTable {
                 ReadsName::All => Reads::All,
                 ReadsName::Shifted => Reads::Shifted,
                 ReadsName::Last => Reads::Last,
+                ReadsName::Edges => Reads::Edges,
             },
         }
     }

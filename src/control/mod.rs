@@ -1,6 +1,6 @@
 //! Speed controllers: pure functions of a sample, a reference and a small state. No hardware, no units but SI.
 //!
-//! - [`Controller`] is any of them: [`paper`], the paper's own form of BS, BS-QSMDO and BS-QISMC; [`drive_form`], BS-QSMDO
+//! - [`ControlConfig`] is any of them: [`paper`], the paper's own form of BS, BS-QSMDO and BS-QISMC; [`drive_form`], BS-QSMDO
 //!   and BS-QISMC as a drive with an encoder needs them; [`pi`] and [`ladrc`], what users would pick instead;
 //! - [`injection`] is the quasi-sliding injection, [`bounds`] the ultimate bounds.
 //!

@@ -76,7 +76,7 @@ impl Family {
         let age = match rig.reads {
             ReadsName::All => 15.0 / 32.0 / RATE,
             ReadsName::Shifted => 0.5 / RATE,
-            ReadsName::Last => 0.0,
+            ReadsName::Last | ReadsName::Edges => 0.0,
         };
         let lag = || match source() {
             SpeedName::Difference => 1.0 / estimate() + 0.5 / RATE + age,
