@@ -4,9 +4,10 @@
 //! [`Drive::arm`]. All checks of the configuration happen in [`Drive::new`]; [`Drive::step`] cannot fail: whatever a
 //! sample holds, it returns a finite duty within the limit, or [`BridgeCommand::Off`].
 
-use crate::config::{ConfigError, positive, require};
+use crate::config::ConfigError;
 use crate::control::{ControlConfig, Controller, Decision, Ranges, Setting, Signals, Timing};
 use crate::hal::{Board, BridgeCommand, Sample};
+pub use crate::limits::Limits;
 use crate::math::Scalar;
 use crate::motor::MotorParameters;
 use crate::sense::{Measured, Rotation, Sensing, Sensors};
@@ -30,59 +31,6 @@ pub struct DriveConfig {
     pub shape: Shape,
 }
 
-/// Limits. A sample outside them is a fault; a duty outside them is limited.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Limits {
-    /// Largest magnitude of the duty, from above 0 to 1. A bridge with bootstrapped high sides needs less than 1.
-    pub duty: f32,
-    /// Largest plausible speed, and largest speed that can be commanded (rad/s). Positive.
-    pub speed: f32,
-    /// Over-current trip (A). Positive.
-    pub current: f32,
-    /// Largest current that a controller asks for (A), where it has a current to ask for: all but the paper's form. Positive,
-    /// at most `current`.
-    pub current_command: f32,
-    /// Under-voltage trip of the bus (V). Positive.
-    pub bus_min: f32,
-    /// Over-voltage trip of the bus (V). Above `bus_min`.
-    pub bus_max: f32,
-}
-
-impl Limits {
-    fn check(&self) -> Result<(), ConfigError> {
-        require(
-            self.duty > 0.0 && self.duty <= 1.0,
-            "limits.duty",
-            "must be above 0 and at most 1",
-            self.duty,
-        )?;
-        // Squares and products of these appear in the law: far from overflow.
-        for (field, value) in [
-            ("limits.speed", self.speed),
-            ("limits.current", self.current),
-            ("limits.current_command", self.current_command),
-            ("limits.bus_min", self.bus_min),
-            ("limits.bus_max", self.bus_max),
-        ] {
-            positive(field, value)?;
-            require(value <= 1e6, field, "must be at most 1e6", value)?;
-        }
-        require(
-            self.current_command <= self.current,
-            "limits.current_command",
-            "must be at most limits.current",
-            self.current_command,
-        )?;
-        require(
-            self.bus_max > self.bus_min,
-            "limits.bus_max",
-            "must be above limits.bus_min",
-            self.bus_max,
-        )?;
-        Ok(())
-    }
-}
-
 /// Why a drive stopped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fault {
@@ -103,7 +51,7 @@ pub enum Fault {
     /// not count, or an encoder or motor lead connected the wrong way round.
     BeyondAuthority,
     /// The voltage that acted was further from the armature's model than [`MODEL_SHARE`] of [`Limits::bus_max`] for
-    /// [`AUTHORITY_TIME`]: an encoder or motor lead connected the wrong way round, an encoder that does not count, an open
+    /// [`AUTHORITY_TIME`], or three electrical time constants if that is longer: an encoder or motor lead connected the wrong way round, an encoder that does not count, an open
     /// lead, or parameters far from the truth. Seen under every controller.
     ModelMismatch,
 }
@@ -177,8 +125,10 @@ pub struct Drive<S: Scalar> {
     controller: Controller<S>,
     /// Speed when the bridge was last off, or went off (rad/s).
     idle_speed: S,
-    /// Steps beyond authority, or beyond the model, that are a fault.
+    /// Steps beyond authority that are a fault.
     authority_steps: u32,
+    /// Steps beyond the model that are one.
+    mismatch_steps: u32,
     /// Steps in a row beyond the model.
     mismatched: u32,
     mismatch_limit: S,
@@ -224,13 +174,13 @@ impl<S: Scalar> Drive<S> {
             driven: false,
             changed: false,
             controller,
-            sensing: Sensing::new(&config.sensors, limits.speed, limits.current, timing.rate)?,
+            sensing: Sensing::new(&config.sensors, limits, timing.rate)?,
             shaper: Shaper::new(config.shape, timing.rate)?,
             duty_limit: S::from_f32(limits.duty),
             speed_limit: S::from_f32(limits.speed),
             // However slow the shaft, an edge between two samples' reads is a whole count, and noise may be another.
             advance_limit: S::from_f32(
-                2.0 * (limits.speed * timing.period() / shaft.unit.abs() + 1.0),
+                2.0 * (limits.speed * timing.period() / shaft.unit.abs() + shaft.grain),
             ),
             current_limit: S::from_f32(limits.current),
             bus_min: S::from_f32(limits.bus_min),
@@ -238,6 +188,10 @@ impl<S: Scalar> Drive<S> {
             voltage: S::ZERO,
             idle_speed: S::ZERO,
             authority_steps: (AUTHORITY_TIME * timing.rate) as u32,
+            // While a current builds up the inductance takes its share of the voltage.
+            mismatch_steps: (AUTHORITY_TIME
+                .max(3.0 * config.motor.inductance / config.motor.resistance)
+                * timing.rate) as u32,
             mismatched: 0,
             mismatch_limit: S::from_f32(MODEL_SHARE * limits.bus_max),
             back_emf: S::gain(config.motor.back_emf_constant),
@@ -246,8 +200,8 @@ impl<S: Scalar> Drive<S> {
         })
     }
 
-    /// Turns the outputs on from the next step. The controller starts anew, and the reference at the speed that the motor
-    /// has.
+    /// Turns the outputs on from the next step. The controller starts anew, and a shaped reference at the speed that the
+    /// motor has. The commanded speed stays.
     pub fn arm(&mut self) -> Result<(), Refusal> {
         match self.mode {
             Mode::Faulted(fault) => Err(Refusal::Faulted(fault)),
@@ -262,12 +216,13 @@ impl<S: Scalar> Drive<S> {
     /// Another controller, or the same with other gains, from the next step on. In the middle of a run it takes over without
     /// a jump: it starts from the speed that was known, the current that there is, and the voltage that acts.
     pub fn change_controller(&mut self, ReadyController(controller): ReadyController<S>) {
-        self.changed = self.driving;
+        self.changed |= self.driving;
         if self.driving {
             self.idle_speed = self.controller.signals().speed;
             self.driving = false;
         }
         self.controller = controller;
+        self.controller.know(self.idle_speed);
     }
 
     /// Turns the outputs off from the next step. A fault stays latched.
@@ -334,7 +289,7 @@ impl<S: Scalar> Drive<S> {
         let modelled = S::combine([(self.resistance, measured.current), (self.back_emf, speed)]);
         let is_mismatched = (self.voltage - modelled).abs() > self.mismatch_limit;
         self.mismatched = if is_mismatched { self.mismatched.wrapping_add(1) } else { 0 };
-        if self.mismatched > self.authority_steps {
+        if self.mismatched > self.mismatch_steps {
             return self.refuse(Fault::ModelMismatch);
         }
         let duty = (voltage / measured.bus_voltage).limited(self.duty_limit);
@@ -355,6 +310,10 @@ impl<S: Scalar> Drive<S> {
             if self.can_follow(&measured) {
                 self.idle_speed = self.controller.follow(&measured);
             }
+            return None;
+        }
+        if !self.limits_hold(&measured) {
+            self.refuse(self.fault_in(measured));
             return None;
         }
         self.driving = true;

@@ -45,7 +45,11 @@ impl<S: Scalar> SpeedEstimator<S> {
     pub fn new(source: &SpeedSource, shaft: &Shaft) -> Result<Self, ConfigError> {
         let period = shaft.period;
         match *source {
-            SpeedSource::Exact => Ok(Self::Exact),
+            SpeedSource::Exact => {
+                let rule = "must not be exact where the sensors tell no speed";
+                require(shaft.speed, "control.speed", rule, 0.0)?;
+                Ok(Self::Exact)
+            }
             SpeedSource::Difference { bandwidth } => {
                 let share = -exp_m1(-checked(bandwidth, period)? * period);
                 Ok(Self::Difference(Difference {
@@ -139,7 +143,7 @@ impl<S: Scalar> AngleObserver<S> {
     ///
     /// For reads that are τ old the same poles need the gains shifted by τ along the model: g1 + τ·g2 + τ²/2·g3, g2 + τ·g3, g3.
     pub fn new([g1, g2]: [f32; 2], g3: f32, shaft: &Shaft) -> Self {
-        let &Shaft { period, least_age, age, unit, counts } = shaft;
+        let &Shaft { period, least_age, age, unit, counts, .. } = shaft;
         let offset = S::from_f32(if counts { 0.5 } else { 0.0 });
         let distance = period / READS as f32;
         Self {
@@ -229,7 +233,15 @@ mod tests {
     const PERIOD: f32 = 5e-5;
 
     fn shaft(age: f32) -> Shaft {
-        Shaft { period: PERIOD, least_age: age, age, unit: 1.0, counts: false }
+        Shaft {
+            period: PERIOD,
+            least_age: age,
+            age,
+            unit: 1.0,
+            counts: false,
+            speed: true,
+            grain: 0.0,
+        }
     }
 
     fn measured(advance: f32) -> Measured<f32> {

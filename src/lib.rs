@@ -95,6 +95,7 @@ pub mod control;
 pub mod drive;
 pub mod estimate;
 pub mod hal;
+mod limits;
 pub mod math;
 pub mod motor;
 pub mod protocol;

@@ -2,6 +2,7 @@
 
 use crate::config::{ConfigError, positive, require};
 use crate::hal::{Codes, Exact, READS, Sample};
+use crate::limits::Limits;
 use crate::math::Scalar;
 use serde::{Deserialize, Serialize};
 
@@ -81,7 +82,11 @@ impl Sensors {
         };
         let counts =
             matches!(self, Self::Codes(Calibration { reads: Reads::All | Reads::Shifted, .. }));
-        Shaft { period, least_age, age, unit, counts }
+        let (speed, grain) = match self {
+            Self::Exact => (true, 0.0),
+            Self::Codes(calibration) => (calibration.reads == Reads::Edges, 1.0),
+        };
+        Shaft { period, least_age, age, unit, counts, speed, grain }
     }
 
     /// How long before the sample the angle lies (s), for a sampling period (s).
@@ -117,6 +122,10 @@ pub(crate) struct Shaft {
     pub unit: f32,
     /// Whether a sample holds 16 reads of a counter that count.
     pub counts: bool,
+    /// Whether a sample tells the speed.
+    pub speed: bool,
+    /// The smallest rotation that is told (in those units).
+    pub grain: f32,
 }
 
 /// A sample in SI units.
@@ -158,9 +167,11 @@ struct Encoder<S: Scalar> {
 #[derive(Clone, Debug)]
 struct Edges<S> {
     /// The last read.
-    before: u16,
+    before: Option<u16>,
     /// The count behind the last edge, if there was one.
     last: Option<u16>,
+    /// Whether the last edge was one up.
+    up: bool,
     /// Reads since then.
     reads_since: i16,
     /// Speed (rad/s).
@@ -173,16 +184,18 @@ impl<S: Scalar> Edges<S> {
     fn step(&mut self, reads: &[u16; READS]) -> S {
         let mut edge = None;
         for (index, &read) in reads.iter().enumerate() {
-            if read != self.before {
+            if self.before.replace(read).is_some_and(|before| before != read) {
                 edge = Some((index as i16 + 1, read));
             }
-            self.before = read;
         }
         match edge {
             Some((index, count)) => {
                 if let Some(last) = self.last.replace(count) {
                     let reads = self.reads_since.saturating_add(index);
-                    let counts = S::from_difference(count.wrapping_sub(last) as i16);
+                    let counts = count.wrapping_sub(last) as i16;
+                    // Back across the same edge says nothing of how fast.
+                    let turned = core::mem::replace(&mut self.up, counts > 0) != (counts > 0);
+                    let counts = if turned { S::ZERO } else { S::from_difference(counts) };
                     self.speed = counts * self.count_per_read / S::from_difference(reads);
                 }
                 self.reads_since = READS as i16 - index;
@@ -191,7 +204,10 @@ impl<S: Scalar> Edges<S> {
                 // As long as no edge comes the speed is at most a count in the time since the last one.
                 self.reads_since = self.reads_since.saturating_add(READS as i16);
                 let most = self.count_per_read / S::from_difference(self.reads_since);
-                self.speed = self.speed.limited(most.abs());
+                self.speed = match self.reads_since {
+                    i16::MAX => S::ZERO,
+                    _ => self.speed.limited(most.abs()),
+                };
             }
         }
         self.speed
@@ -199,13 +215,9 @@ impl<S: Scalar> Edges<S> {
 }
 
 impl<S: Scalar> Sensing<S> {
-    /// For a drive's largest speed (rad/s), over-current trip (A) and sampling rate (Hz).
-    pub(crate) fn new(
-        sensors: &Sensors,
-        speed: f32,
-        over_current: f32,
-        rate: f32,
-    ) -> Result<Self, ConfigError> {
+    /// For a drive's limits, all of which must lie within what the sensors tell, and its sampling rate (Hz).
+    pub(crate) fn new(sensors: &Sensors, limits: &Limits, rate: f32) -> Result<Self, ConfigError> {
+        let &Limits { speed, current: over_current, bus_max, .. } = limits;
         let &Sensors::Codes(calibration) = sensors else {
             return Ok(Self {
                 encoder: None,
@@ -231,6 +243,12 @@ impl<S: Scalar> Sensing<S> {
             over_current,
         )?;
         positive("sensors.bus_voltage_per_code", bus_voltage_per_code)?;
+        require(
+            bus_max < highest * bus_voltage_per_code,
+            "limits.bus_max",
+            "must be within the range of the bus voltage's converter",
+            bus_max,
+        )?;
         let counts = calibration.counts_per_turn;
         require(
             (16..=65536).contains(&counts.unsigned_abs()),
@@ -257,8 +275,9 @@ impl<S: Scalar> Sensing<S> {
                 per_read: S::gain(per_read),
                 per_shift: S::gain(per_shift),
                 edges: Edges {
-                    before: 0,
+                    before: None,
                     last: None,
+                    up: true,
                     reads_since: 0,
                     speed: S::ZERO,
                     count_per_read: S::from_f32(calibration.count() * rate * READS as f32),
@@ -335,10 +354,21 @@ mod tests {
         highest_code: 4095,
         reads: Reads::All,
     };
+    fn limits(speed: f32) -> Limits {
+        Limits {
+            duty: 0.9,
+            speed,
+            current: 20.0,
+            current_command: 15.0,
+            bus_min: 8.0,
+            bus_max: 28.0,
+        }
+    }
+
     const COUNT: f32 = core::f32::consts::TAU / 4096.0;
 
     fn sensing(calibration: Calibration) -> Sensing<f32> {
-        Sensing::new(&Sensors::Codes(calibration), 1000.0, 20.0, 20_000.0).expect("valid")
+        Sensing::new(&Sensors::Codes(calibration), &limits(1000.0), 20_000.0).expect("valid")
     }
 
     fn codes(encoder: [u16; READS]) -> Sample<f32> {
@@ -459,10 +489,40 @@ mod tests {
     }
 
     #[test]
+    fn an_edge_that_is_crossed_back_and_forth_is_no_speed() {
+        let mut sensing = sensing(Calibration { reads: Reads::Edges, ..GOOD });
+        let mut fastest = 0.0_f32;
+        for period in 0..100 {
+            let encoder = [if period % 2 == 0 { 100 } else { 101 }; READS];
+            let speed = sensing.read(&codes(encoder)).expect("codes").speed;
+            fastest = fastest.max(speed.abs());
+        }
+        // At most a count a period, where the first one back was not known for one.
+        assert!(fastest <= COUNT / 5e-5, "{fastest}");
+    }
+
+    #[test]
+    fn only_sensors_that_tell_a_speed_are_a_source_of_it() {
+        for (reads, tells) in [
+            (Reads::All, false),
+            (Reads::Shifted, false),
+            (Reads::Last, false),
+            (Reads::Edges, true),
+        ] {
+            let shaft = Sensors::Codes(Calibration { reads, ..GOOD }).shaft(5e-5);
+            let built = SpeedEstimator::<f32>::new(&SpeedSource::Exact, &shaft);
+            assert_eq!(
+                built.map_err(|error| error.field).err(),
+                (!tells).then_some("control.speed")
+            );
+        }
+    }
+
+    #[test]
     fn the_largest_accepted_speed_is_told_right_and_a_larger_one_is_refused() {
         // 1000 counts a period are 16,000 of the sum: within ±32,768, the double still is.
         let fastest = 1000.0 * COUNT * 20_000.0;
-        let new = |speed| Sensing::<f32>::new(&Sensors::Codes(GOOD), speed, 20.0, 20_000.0);
+        let new = |speed| Sensing::<f32>::new(&Sensors::Codes(GOOD), &limits(speed), 20_000.0);
         assert_eq!(new(1.001 * fastest).expect_err("too fast").field, "limits.speed");
         let mut sensing = new(0.999 * fastest).expect("valid");
         for counts in [1000_i32, -1000, 2000, -2000] {
@@ -486,7 +546,7 @@ mod tests {
         let exact = Exact { speed: 1.0, advance: 1e-4, current: 2.0, bus_voltage: 24.0 };
         assert!(sensing(GOOD).read(&Sample::Exact(exact)).is_none());
         let mut ideal =
-            Sensing::<f32>::new(&Sensors::Exact, 1000.0, 20.0, 20_000.0).expect("valid");
+            Sensing::<f32>::new(&Sensors::Exact, &limits(1000.0), 20_000.0).expect("valid");
         assert!(ideal.read(&codes([0; READS])).is_none());
         let measured = ideal.read(&Sample::Exact(exact)).expect("exact");
         assert_eq!((measured.speed, measured.rotation.advance, measured.current), (1.0, 1e-4, 2.0));
@@ -507,15 +567,18 @@ mod tests {
             (Calibration { counts_per_turn: 15, ..GOOD }, "sensors.counts_per_turn"),
             (Calibration { counts_per_turn: -65_537, ..GOOD }, "sensors.counts_per_turn"),
             (Calibration { counts_per_turn: i32::MIN, ..GOOD }, "sensors.counts_per_turn"),
+            (Calibration { highest_code: 3700, ..GOOD }, "limits.current"),
+            (Calibration { bus_voltage_per_code: 0.006, ..GOOD }, "limits.bus_max"),
         ];
         for (calibration, field) in cases {
-            let error = Sensing::<f32>::new(&Sensors::Codes(calibration), 1000.0, 20.0, 20_000.0);
+            let error =
+                Sensing::<f32>::new(&Sensors::Codes(calibration), &limits(1000.0), 20_000.0);
             assert_eq!(error.expect_err(field).field, field, "{calibration:?}");
         }
         for counts_per_turn in [16, -16, 65_536, -65_536] {
             let calibration = Calibration { counts_per_turn, ..GOOD };
             assert!(
-                Sensing::<f32>::new(&Sensors::Codes(calibration), 100.0, 20.0, 20_000.0).is_ok()
+                Sensing::<f32>::new(&Sensors::Codes(calibration), &limits(100.0), 20_000.0).is_ok()
             );
         }
     }

@@ -37,7 +37,8 @@ pub enum Shape {
     SCurve {
         /// Largest acceleration (rad/s²). Positive.
         acceleration: f32,
-        /// Largest jerk (rad/s³), exceeded by up to a twentieth to arrive in whole periods. Positive, at most the
+        /// Largest jerk (rad/s³), exceeded by up to a twentieth to arrive in whole periods, and by more for some
+        /// periods where the command changes while it slows down. Positive, at most the
         /// acceleration a sampling period.
         jerk: f32,
     },
@@ -111,6 +112,9 @@ impl<S: Scalar> Shaper<S> {
 
     /// Sets the commanded speed (rad/s).
     pub fn set_target(&mut self, target: S) {
+        if target == self.target {
+            return;
+        }
         self.rest = self.rest + (self.target - target);
         self.target = target;
         self.replan();

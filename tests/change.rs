@@ -1,10 +1,10 @@
 //! Controllers and gains changed in the middle of a run, on the sensors of a board: without a bump.
 
 use host_sim::board::SimulatedBoard;
-use host_sim::scenario::{Controller, Scenario};
+use host_sim::scenario::{Controller, Scenario, StartName};
 use host_sim::sensors::ReadsName;
-use quasidrive::drive::{Drive, Mode, ReadyController};
-use quasidrive::hal::{Board, BridgeCommand};
+use quasidrive::drive::{Drive, Fault, Mode, ReadyController};
+use quasidrive::hal::{Board, BridgeCommand, Codes, Sample};
 use std::path::Path;
 
 fn scenario(controller: Controller) -> Scenario {
@@ -14,6 +14,7 @@ fn scenario(controller: Controller) -> Scenario {
     // Shifted reads suit the drive form; to the others they are noise.
     scenario.sensors.as_mut().expect("some").reads = ReadsName::All;
     scenario.control.controller = controller;
+    scenario.control.start = StartName::Matched;
     // Gains of the paper's form that such sensors can feed: a twentieth of the paper's bandwidths, twenty times its authority.
     scenario.gains.c = 400.0;
     scenario.gains.k1 = 1900.0;
@@ -89,4 +90,69 @@ fn a_change_while_off_waits_for_the_drive_to_be_armed() {
     assert_eq!(drive.step(&board.sample()), BridgeCommand::Off);
     drive.arm().expect("no fault");
     assert!(matches!(drive.step(&board.sample()), BridgeCommand::Duty(_)));
+}
+
+/// The drive of a scenario that turns at 100 rad/s, and its board.
+fn running(controller: Controller) -> (Drive<f32>, SimulatedBoard<f32>) {
+    let first = scenario(controller);
+    let mut drive = Drive::<f32>::new(&first.drive_config()).expect("valid");
+    let mut board = SimulatedBoard::<f32>::new(&first);
+    drive.arm().expect("no fault");
+    drive.set_speed(100.0).expect("in range");
+    play(&mut drive, &mut board, 10_000, (0.0, 0.0));
+    (drive, board)
+}
+
+fn ready(controller: Controller) -> ReadyController<f32> {
+    ReadyController::new(&scenario(controller).drive_config()).expect("valid")
+}
+
+#[test]
+fn two_changes_in_one_period_are_as_one() {
+    let (mut drive, mut board) = running(Controller::DriveQsmdo);
+    drive.change_controller(ready(Controller::Pi));
+    drive.change_controller(ready(Controller::DriveQismc));
+    let (speed, _) = play(&mut drive, &mut board, 4000, (100.0, 0.0));
+    assert!(speed < 0.1, "{speed} rad/s");
+}
+
+#[test]
+fn a_controller_that_came_while_off_knows_the_speed() {
+    for next in [Controller::DriveQsmdo, Controller::Pi, Controller::Ladrc, Controller::BsQsmdo] {
+        let (mut drive, mut board) = running(Controller::DriveQsmdo);
+        drive.disarm();
+        for _ in 0..2 {
+            let command = drive.step(&board.sample());
+            board.apply(command);
+        }
+        drive.change_controller(ready(next));
+        let command = drive.step(&board.sample());
+        board.apply(command);
+        drive.arm().expect("no fault");
+        let (speed, _) = play(&mut drive, &mut board, 2000, (100.0, 0.0));
+        // The load of 0.05 N·m pulls the coasting motor down for two periods, and then until its current is there.
+        assert!(speed < 3.0, "{next}: {speed} rad/s");
+    }
+}
+
+#[test]
+fn a_fault_on_the_very_first_sample_leaves_the_speed_known() {
+    for controller in [Controller::DriveQsmdo, Controller::Pi] {
+        let (mut drive, mut board) = running(controller);
+        drive.disarm();
+        for _ in 0..4 {
+            let command = drive.step(&board.sample());
+            board.apply(command);
+        }
+        drive.arm().expect("no fault");
+        let Sample::Codes(codes) = board.sample() else { unreachable!("a scenario with sensors") };
+        let without_bus = Sample::Codes(Codes { bus_voltage: 0, ..codes });
+        assert_eq!(drive.step(&without_bus), BridgeCommand::Off);
+        assert_eq!(drive.mode(), Mode::Faulted(Fault::BusUndervoltage));
+        board.apply(BridgeCommand::Off);
+        drive.clear_fault();
+        drive.arm().expect("cleared");
+        let (speed, _) = play(&mut drive, &mut board, 2000, (100.0, 0.0));
+        assert!(speed < 3.0, "{controller}: {speed} rad/s");
+    }
 }

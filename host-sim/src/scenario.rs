@@ -402,10 +402,10 @@ impl ReferenceTable {
             (ShapeName::SecondOrder, None, _, _) => {
                 broken("reference.shape", "= \"second-order\" needs a bandwidth beside it")
             }
-            (ShapeName::SCurve, _, _, _) => {
+            (ShapeName::SCurve, _, None, _) | (ShapeName::SCurve, _, _, None) => {
                 broken("reference.shape", "= \"s-curve\" needs acceleration and jerk beside it")
             }
-            (_, Some(_), _, _) => {
+            (ShapeName::Step | ShapeName::SCurve, Some(_), _, _) => {
                 broken("reference.bandwidth", "is for shape = \"second-order\" only")
             }
             _ => broken("reference.shape", "has no use for acceleration or jerk"),

@@ -74,6 +74,9 @@ impl SensorsTable {
     pub(crate) fn check(&self) -> Result<(), Broken> {
         let codes = f64::from(self.codes);
         rule((2..=65536).contains(&self.codes), "sensors.codes", "must be from 2 to 65536", codes)?;
+        let counts = f64::from(self.counts_per_turn);
+        let playable = (16..=65536).contains(&self.counts_per_turn);
+        rule(playable, "sensors.counts_per_turn", "must be from 16 to 65536", counts)?;
         let resolution = self.current_resolution;
         positive("sensors.current_resolution", resolution)?;
         positive("sensors.bus_voltage_resolution", self.bus_voltage_resolution)?;

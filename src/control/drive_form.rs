@@ -332,7 +332,12 @@ impl<S: Scalar> DriveForm<S> {
         self.current = measured.current;
         self.predicted_current = measured.current;
         self.predicted_reference = reference.speed;
+        self.speed_before = self.observer.speed;
         self.exhausted = 0;
+    }
+
+    pub fn know(&mut self, speed: S) {
+        self.observer.resume(speed);
     }
 
     /// Takes over: the current that it finds is what holds the speed, and the voltage that acts is the right one.
@@ -540,8 +545,15 @@ mod tests {
         let motor = MotorParameters::PAPER.coefficients().expect("valid");
         let ranges = &Ranges { speed: 1000.0, current: 25.0, current_command: 20.0 };
         // In rad, as from exact sensors.
-        let shaft =
-            &Shaft { period: timing.period(), least_age: 0.0, age: 0.0, unit: 1.0, counts: false };
+        let shaft = &Shaft {
+            period: timing.period(),
+            least_age: 0.0,
+            age: 0.0,
+            unit: 1.0,
+            counts: false,
+            speed: true,
+            grain: 0.0,
+        };
         let setting = Setting { motor: &motor, timing: &timing, shaft, ranges };
         DriveForm::new(config, &setting)
     }

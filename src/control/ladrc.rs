@@ -187,6 +187,10 @@ impl<S: Scalar> Ladrc<S> {
         self.signals = Signals::NONE;
     }
 
+    pub fn know(&mut self, speed: S) {
+        self.estimator.resume(speed);
+    }
+
     /// Takes over: the current that it finds is what holds the speed.
     pub fn resume(&mut self, speed: S, measured: &Measured<S>, reference: &Reference<S>) {
         self.estimator.resume(speed);

@@ -166,6 +166,16 @@ impl<S: Scalar> Controller<S> {
         }
     }
 
+    /// Is told the speed (rad/s) that the motor has.
+    pub fn know(&mut self, speed: S) {
+        match self {
+            Self::Paper(paper) => paper.know(speed),
+            Self::Drive(drive) => drive.know(speed),
+            Self::Pi(pi) => pi.know(speed),
+            Self::Ladrc(ladrc) => ladrc.know(speed),
+        }
+    }
+
     /// Takes over from another controller in the middle of a run, at a sample of which [`step`](Self::step) is to be told
     /// next: from the speed (rad/s) and the voltage that acts (V).
     pub fn resume(

@@ -194,6 +194,10 @@ impl<S: Scalar> CascadedPi<S> {
         }
     }
 
+    pub fn know(&mut self, speed: S) {
+        self.estimator.resume(speed);
+    }
+
     /// Takes over: the current that it finds is what holds the speed.
     pub fn resume(&mut self, speed: S, measured: &Measured<S>, reference: &Reference<S>) {
         self.estimator.resume(speed);
@@ -403,8 +407,15 @@ pub(super) mod rig {
     use crate::trajectory::Reference;
 
     pub const TIMING: Timing = Timing { rate: 20_000.0, delay: true };
-    pub const SHAFT: Shaft =
-        Shaft { period: 1.0 / TIMING.rate, least_age: 0.0, age: 0.0, unit: 1.0, counts: false };
+    pub const SHAFT: Shaft = Shaft {
+        period: 1.0 / TIMING.rate,
+        least_age: 0.0,
+        age: 0.0,
+        unit: 1.0,
+        counts: false,
+        speed: true,
+        grain: 0.0,
+    };
     pub const RANGES: Ranges = Ranges { speed: 400.0, current: 40.0, current_command: 15.0 };
 
     /// A field's refusal, if there is one, of a controller for the paper's motor.

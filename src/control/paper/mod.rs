@@ -78,6 +78,11 @@ impl<S: Scalar> Paper<S> {
         estimator.start_disturbance(speed, modelled, reference);
     }
 
+    pub fn know(&mut self, speed: S) {
+        self.speed.resume(speed);
+        self.last.speed = speed;
+    }
+
     /// Takes over: the current that it finds is what holds the speed.
     pub fn resume(&mut self, speed: S, measured: &Measured<S>, reference: &Reference<S>) {
         self.speed.resume(speed);
