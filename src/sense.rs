@@ -59,9 +59,16 @@ impl Calibration {
     /// How long before the sample the encoder's reads lie in the mean (s), for a sampling period (s).
     pub fn age(&self, period: f32) -> f32 {
         match self.reads {
-            Reads::All => period * (READS - 1) as f32 / (2 * READS) as f32,
             // Half a read's distance earlier in the mean.
             Reads::Shifted => 0.5 * period,
+            _ => self.least_age(period),
+        }
+    }
+
+    /// The same without a shift.
+    fn least_age(&self, period: f32) -> f32 {
+        match self.reads {
+            Reads::All | Reads::Shifted => period * (READS - 1) as f32 / (2 * READS) as f32,
             Reads::Last | Reads::Edges => 0.0,
         }
     }
@@ -70,30 +77,26 @@ impl Calibration {
 impl Sensors {
     /// What is known of the shaft's angle, for a sampling period (s).
     pub(crate) fn shaft(&self, period: f32) -> Shaft {
-        let (least_age, age, unit) = match self {
-            Self::Exact => (0.0, 0.0, 1.0),
-            Self::Codes(calibration) => {
-                let unshifted = match calibration.reads {
-                    Reads::Shifted => Calibration { reads: Reads::All, ..*calibration },
-                    _ => *calibration,
-                };
-                (unshifted.age(period), calibration.age(period), calibration.count())
-            }
+        let exact = Shaft {
+            period,
+            least_age: 0.0,
+            age: 0.0,
+            unit: 1.0,
+            counts: false,
+            speed: true,
+            grain: 0.0,
         };
-        let counts =
-            matches!(self, Self::Codes(Calibration { reads: Reads::All | Reads::Shifted, .. }));
-        let (speed, grain) = match self {
-            Self::Exact => (true, 0.0),
-            Self::Codes(calibration) => (calibration.reads == Reads::Edges, 1.0),
-        };
-        Shaft { period, least_age, age, unit, counts, speed, grain }
-    }
-
-    /// How long before the sample the angle lies (s), for a sampling period (s).
-    pub fn age(&self, period: f32) -> f32 {
         match self {
-            Self::Exact => 0.0,
-            Self::Codes(calibration) => calibration.age(period),
+            Self::Exact => exact,
+            Self::Codes(calibration) => Shaft {
+                least_age: calibration.least_age(period),
+                age: calibration.age(period),
+                unit: calibration.count(),
+                counts: matches!(calibration.reads, Reads::All | Reads::Shifted),
+                speed: calibration.reads == Reads::Edges,
+                grain: 1.0,
+                ..exact
+            },
         }
     }
 }
@@ -538,7 +541,7 @@ mod tests {
         // Reads at 1/16, 2/16 … 16/16 of the period lie 7.5/16 of it back in the mean.
         assert!((GOOD.age(1.0) - 7.5 / 16.0).abs() < 1e-7);
         assert_eq!(Calibration { reads: Reads::Last, ..GOOD }.age(1.0), 0.0);
-        assert_eq!(Sensors::Exact.age(1.0), 0.0);
+        assert_eq!(Sensors::Exact.shaft(1.0).age, 0.0);
     }
 
     #[test]

@@ -399,26 +399,32 @@ svg { width: 100%; height: auto; } p, li { max-width: 60em; } code { background:
 
 /// The whole report.
 pub fn html(results: &Reproduction) -> Result<String> {
+    let body = html! {
+        h1 { "The paper reproduced" }
+        (introduction())
+        (cycle_section(results))
+        @for figure in figures() { (figure_section(results, &figure)?) }
+        (forms_section(results)?)
+        (disagreements(results)?)
+    };
+    Ok(page("quasidrive: the paper reproduced", STYLE, &body))
+}
+
+/// A page that needs nothing but itself.
+pub(crate) fn page(title: &str, style: &str, body: &Markup) -> String {
     let page = html! {
         (DOCTYPE)
         html lang="en" {
             head {
                 meta charset="utf-8";
                 meta name="viewport" content="width=device-width, initial-scale=1";
-                title { "quasidrive: the paper reproduced" }
-                style { (PreEscaped(STYLE)) }
+                title { (title) }
+                style { (PreEscaped(style)) }
             }
-            body {
-                h1 { "The paper reproduced" }
-                (introduction())
-                (cycle_section(results))
-                @for figure in figures() { (figure_section(results, &figure)?) }
-                (forms_section(results)?)
-                (disagreements(results)?)
-            }
+            body { (body) }
         }
     };
-    Ok(page.into_string())
+    page.into_string()
 }
 
 fn introduction() -> Markup {

@@ -341,16 +341,9 @@ impl<S: Scalar> DriveForm<S> {
     }
 
     /// Takes over: the current that it finds is what holds the speed, and the voltage that acts is the right one.
-    pub fn resume(
-        &mut self,
-        speed: S,
-        measured: &Measured<S>,
-        reference: &Reference<S>,
-        acting: S,
-    ) {
-        let current = measured.current;
+    pub fn resume(&mut self, measured: &Measured<S>, reference: &Reference<S>, acting: S) {
+        let (speed, current) = (self.observer.speed, measured.current);
         self.start(measured, reference);
-        self.observer.resume(speed);
         let modelled = S::combine([(self.a2, current), (self.minus_a1, speed)]);
         let Resumption { strength, layer, reserve, reserve_layer, resistance } = self.resumption;
         let held = |value: S, strength: f32, layer: f32| {

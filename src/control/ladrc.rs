@@ -191,12 +191,6 @@ impl<S: Scalar> Ladrc<S> {
         self.estimator.resume(speed);
     }
 
-    /// Takes over: the current that it finds is what holds the speed.
-    pub fn resume(&mut self, speed: S, measured: &Measured<S>, reference: &Reference<S>) {
-        self.estimator.resume(speed);
-        self.start(measured, reference);
-    }
-
     /// One step; see [`Controller::step`](super::Controller::step).
     #[inline]
     pub fn step(&mut self, measured: &Measured<S>, reference: &Reference<S>, acting: S) -> S {
@@ -235,7 +229,6 @@ mod tests {
     use crate::control::ControlConfig;
     use crate::control::pi::rig::*;
     use crate::motor::MotorParameters;
-    use crate::sense::Rotation;
     use proptest::prelude::*;
 
     const MOTOR: MotorParameters = MotorParameters::PAPER;
@@ -335,22 +328,10 @@ mod tests {
     fn starts_on_a_turning_motor_without_a_bump() {
         for source in [SpeedSource::Exact, PLL, FED, DIFFERENCE] {
             for speed in [-200.0, 100.0] {
-                let mut rig = Rig::new(&ControlConfig::Ladrc(config(400.0, source)), MOTOR);
-                // What an earlier run left must not show.
-                rig.start();
-                rig.set_load(0.05);
-                rig.run(-100.0, 1000, 0);
-                rig.set_load(0.0);
-                rig.turn(speed);
-                (0..1000).for_each(|_| rig.coast());
-                rig.start();
-                let back_emf = speed * 59e-3;
-                for _ in 0..100 {
-                    rig.period(&Reference::constant(speed as f32));
-                    let voltage = f64::from(rig.controller.signals().voltage);
-                    assert_within("voltage", voltage - back_emf, [-1e-2, 1e-2]);
-                    assert_within("current", rig.current(), [-1e-2, 1e-2]);
-                }
+                assert_starts_turning_without_a_bump(
+                    &ControlConfig::Ladrc(config(400.0, source)),
+                    speed,
+                );
             }
         }
     }
@@ -429,15 +410,7 @@ mod tests {
             samples in prop::collection::vec(prop::array::uniform4(-1.0..1.0_f32), 1..300),
         ) {
             let mut rig = rig(config(400.0, SpeedSource::Exact), MOTOR);
-            for [speed, current, acting, advance] in samples {
-                let measured = Measured {
-                                        rotation: Rotation { advance: 0.02 * advance, behind: 0.0, shift: 0.0 },
-                    speed: 400.0 * speed,
-                    current: 40.0 * current,
-                    bus_voltage: 24.0,
-                };
-                rig.mislead(&measured, 28.0 * acting);
-            }
+            samples.into_iter().for_each(|sample| rig.mislead(sample));
             rig.run(100.0, 8000, 0);
             assert_within("recovered", rig.speed(), [99.999, 100.001]);
         }

@@ -166,7 +166,7 @@ impl<S: Scalar> Controller<S> {
         }
     }
 
-    /// Is told the speed (rad/s) that the motor has.
+    /// Is told the speed (rad/s) that the motor has: from there estimates go on.
     pub fn know(&mut self, speed: S) {
         match self {
             Self::Paper(paper) => paper.know(speed),
@@ -177,7 +177,7 @@ impl<S: Scalar> Controller<S> {
     }
 
     /// Takes over from another controller in the middle of a run, at a sample of which [`step`](Self::step) is to be told
-    /// next: from the speed (rad/s) and the voltage that acts (V).
+    /// next: from the speed that it was told (rad/s) and the voltage that acts (V).
     pub fn resume(
         &mut self,
         speed: S,
@@ -187,9 +187,10 @@ impl<S: Scalar> Controller<S> {
     ) {
         match self {
             Self::Paper(paper) => paper.resume(speed, measured, reference),
-            Self::Drive(drive) => drive.resume(speed, measured, reference, acting),
-            Self::Pi(pi) => pi.resume(speed, measured, reference),
-            Self::Ladrc(ladrc) => ladrc.resume(speed, measured, reference),
+            Self::Drive(drive) => drive.resume(measured, reference, acting),
+            // They start with the current that they find as what holds the speed.
+            Self::Pi(pi) => pi.start(measured, reference),
+            Self::Ladrc(ladrc) => ladrc.start(measured, reference),
         }
     }
 

@@ -198,12 +198,6 @@ impl<S: Scalar> CascadedPi<S> {
         self.estimator.resume(speed);
     }
 
-    /// Takes over: the current that it finds is what holds the speed.
-    pub fn resume(&mut self, speed: S, measured: &Measured<S>, reference: &Reference<S>) {
-        self.estimator.resume(speed);
-        self.start(measured, reference);
-    }
-
     /// One step; see [`Controller::step`](super::Controller::step).
     #[inline]
     pub fn step(&mut self, measured: &Measured<S>, reference: &Reference<S>, acting: S) -> S {
@@ -423,6 +417,25 @@ pub(super) mod rig {
         Rig::try_new(config, MotorParameters::PAPER).err()
     }
 
+    pub fn assert_starts_turning_without_a_bump(config: &ControlConfig, speed: f64) {
+        let mut rig = Rig::new(config, MotorParameters::PAPER);
+        // What an earlier run left must not show.
+        rig.start();
+        rig.set_load(0.05);
+        rig.run(-100.0, 1000, 0);
+        rig.set_load(0.0);
+        rig.turn(speed);
+        (0..1000).for_each(|_| rig.coast());
+        rig.start();
+        let back_emf = speed * 59e-3;
+        for _ in 0..100 {
+            rig.period(&Reference::constant(speed as f32));
+            let voltage = f64::from(rig.controller.signals().voltage);
+            assert_within("voltage", voltage - back_emf, [-1e-2, 1e-2]);
+            assert_within("current", rig.current(), [-1e-2, 1e-2]);
+        }
+    }
+
     pub fn assert_within(what: &str, value: f64, [low, high]: [f64; 2]) {
         assert!((low..=high).contains(&value), "{what}: {value} is not in {low}..={high}");
     }
@@ -499,10 +512,17 @@ pub(super) mod rig {
             self.state[2] = 0.0;
         }
 
-        /// A period of a sample that has nothing to do with the motor.
-        pub fn mislead(&mut self, measured: &Measured<f32>, acting: f32) {
+        /// A period of a sample and an acting voltage that have nothing to do with the motor, each from −1 to 1.
+        pub fn mislead(&mut self, [speed, current, acting, advance]: [f32; 4]) {
+            let measured = Measured {
+                rotation: Rotation { advance: 0.02 * advance, behind: 0.0, shift: 0.0 },
+                speed: 400.0 * speed,
+                current: 40.0 * current,
+                bus_voltage: 24.0,
+            };
             let reference = Reference::constant(-measured.speed);
-            assert!(self.controller.step(measured, &reference, acting).voltage.is_finite());
+            let decision = self.controller.step(&measured, &reference, 28.0 * acting);
+            assert!(decision.voltage.is_finite());
         }
 
         pub fn start(&mut self) {
@@ -574,7 +594,6 @@ mod tests {
     use super::*;
     use crate::control::ControlConfig;
     use crate::motor::MotorParameters;
-    use crate::sense::Rotation;
     use proptest::prelude::*;
 
     const MOTOR: MotorParameters = MotorParameters::PAPER;
@@ -725,22 +744,7 @@ mod tests {
     fn starts_on_a_turning_motor_without_a_bump() {
         for config in [book(SpeedSource::Exact), book(PLL), book(FED), calm(Some(600.0))] {
             for speed in [-200.0, 100.0] {
-                let mut rig = Rig::new(&ControlConfig::Pi(config), MOTOR);
-                // What an earlier run left must not show.
-                rig.start();
-                rig.set_load(0.05);
-                rig.run(-100.0, 1000, 0);
-                rig.set_load(0.0);
-                rig.turn(speed);
-                (0..1000).for_each(|_| rig.coast());
-                rig.start();
-                let back_emf = speed * 59e-3;
-                for _ in 0..100 {
-                    rig.period(&Reference::constant(speed as f32));
-                    let voltage = f64::from(rig.controller.signals().voltage);
-                    assert_within("voltage", voltage - back_emf, [-1e-2, 1e-2]);
-                    assert_within("current", rig.current(), [-1e-2, 1e-2]);
-                }
+                assert_starts_turning_without_a_bump(&ControlConfig::Pi(config), speed);
             }
         }
     }
@@ -821,15 +825,7 @@ mod tests {
             observer in any::<bool>(),
         ) {
             let mut rig = rig(calm(observer.then_some(600.0)));
-            for [speed, current, acting, advance] in samples {
-                let measured = Measured {
-                                        rotation: Rotation { advance: 0.02 * advance, behind: 0.0, shift: 0.0 },
-                    speed: 400.0 * speed,
-                    current: 40.0 * current,
-                    bus_voltage: 24.0,
-                };
-                rig.mislead(&measured, 28.0 * acting);
-            }
+            samples.into_iter().for_each(|sample| rig.mislead(sample));
             rig.run(100.0, 8000, 0);
             assert_within("recovered", rig.speed(), [99.999, 100.001]);
         }

@@ -7,7 +7,7 @@ use super::contender::{Contender, Setup};
 use super::measure::LoadStepFigures;
 use super::rig::{RATE, Rig};
 use crate::scenario::{Control, Controller, LadrcTable, PiTable, SpeedName};
-use crate::sensors::ReadsName;
+use crate::sensors::SensorsTable;
 use rand::rngs::StdRng;
 use rand::seq::SliceRandom;
 use rand::{Rng, SeedableRng};
@@ -73,11 +73,9 @@ impl Family {
             ..Control::default()
         };
         // As the controllers count it.
-        let age = match rig.reads {
-            ReadsName::All => 15.0 / 32.0 / RATE,
-            ReadsName::Shifted => 0.5 / RATE,
-            ReadsName::Last | ReadsName::Edges => 0.0,
-        };
+        let calibration =
+            SensorsTable { reads: rig.reads, ..SensorsTable::default() }.calibration();
+        let age = f64::from(calibration.age((1.0 / RATE) as f32));
         let lag = || match source() {
             SpeedName::Difference => 1.0 / estimate() + 0.5 / RATE + age,
             _ => 2.0 / estimate(),
@@ -342,6 +340,7 @@ fn interpolate(points: &[(f64, f64)], dip: f64) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sensors::ReadsName;
 
     fn tried(dip: f64, ripple: f64, steady_error: f64) -> Tried {
         let figures = LoadStepFigures {

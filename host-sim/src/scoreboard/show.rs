@@ -4,9 +4,10 @@ use super::contender::Contender;
 use super::search::{Family, Measure};
 use super::{CaseFigures, MATCHED_RIPPLE, Matched, Played, RigFronts, Scoreboard, Target};
 use crate::plot::{Line, Plot};
+use crate::report::page;
 use crate::terminal::{number, table};
 use anyhow::Result;
-use maud::{DOCTYPE, Markup, PreEscaped, html};
+use maud::{Markup, PreEscaped, html};
 use plotters::style::RGBColor;
 
 /// A table: its heading, its columns, how many of them are text, and its rows.
@@ -298,31 +299,20 @@ pub fn html(board: &Scoreboard) -> Result<String> {
             plots.push(front_plot(fronts, measure)?);
         }
     }
-    let page = html! {
-        (DOCTYPE)
-        html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                title { "quasidrive: scoreboard" }
-                style { (PreEscaped(STYLE)) }
-            }
-            body {
-                h1 { "Scoreboard" }
-                p {
-                    "Every controller on the same sensors, one period of delay, the same limits and the same shaping of \
-                     the reference, at 20 kHz. Ripple is the rms of u about its mean at constant speed, voltage step the \
-                     rms of its change from one period to the next; both are geometric means over eight speeds."
-                }
-                ul { @for contender in Contender::ALL { li { b { (contender.name()) } ": " (contender.rule()) } } }
-                @if !board.targets.is_empty() { p { (WHY) } }
-                @for grid in grids(board).into_iter().rev() { (grid.html()) }
-                @if !plots.is_empty() {
-                    h2 { "Fronts of dip over ripple, of the tunings that are stable with every parameter error and recover within 12 ms" }
-                    @for plot in plots { (plot) }
-                }
-            }
+    let body = html! {
+        h1 { "Scoreboard" }
+        p {
+            "Every controller on the same sensors, one period of delay, the same limits and the same shaping of \
+             the reference, at 20 kHz. Ripple is the rms of u about its mean at constant speed, voltage step the \
+             rms of its change from one period to the next; both are geometric means over eight speeds."
+        }
+        ul { @for contender in Contender::ALL { li { b { (contender.name()) } ": " (contender.rule()) } } }
+        @if !board.targets.is_empty() { p { (WHY) } }
+        @for grid in grids(board).into_iter().rev() { (grid.html()) }
+        @if !plots.is_empty() {
+            h2 { "Fronts of dip over ripple, of the tunings that are stable with every parameter error and recover within 12 ms" }
+            @for plot in plots { (plot) }
         }
     };
-    Ok(page.into_string())
+    Ok(page("quasidrive: scoreboard", STYLE, &body))
 }

@@ -85,7 +85,6 @@ impl<S: Scalar> Paper<S> {
 
     /// Takes over: the current that it finds is what holds the speed.
     pub fn resume(&mut self, speed: S, measured: &Measured<S>, reference: &Reference<S>) {
-        self.speed.resume(speed);
         let modelled = self.law.modelled_acceleration(speed, measured.current);
         self.acceleration = reference.acceleration;
         let Some(estimator) = &mut self.estimator else { return };
