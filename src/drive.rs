@@ -8,8 +8,9 @@ use crate::config::ConfigError;
 use crate::control::{ControlConfig, Controller, Decision, Ranges, Setting, Signals, Timing};
 use crate::hal::{Board, BridgeCommand, Sample};
 pub use crate::limits::Limits;
-use crate::math::Scalar;
+use crate::math::{Base, Scalar};
 use crate::motor::MotorParameters;
+use crate::per_unit::Bases;
 use crate::sense::{Measured, Rotation, Sensing, Sensors};
 use crate::trajectory::{Reference, Shape, Shaper};
 use serde::{Deserialize, Serialize};
@@ -132,9 +133,11 @@ pub struct Drive<S: Scalar> {
     /// Steps in a row beyond the model.
     mismatched: u32,
     mismatch_limit: S,
-    back_emf: S::Gain,
-    resistance: S::Gain,
-    minus_inertia: S::Gain,
+    back_emf: S::Steep<1>,
+    /// Ra·i + Kb·ω.
+    modelled: S::Steep<2>,
+    minus_inertia: S::Gains<1>,
+    bases: Bases,
 }
 
 /// A controller that is ready to take over; see [`Drive::change_controller`].
@@ -156,6 +159,7 @@ impl<S: Scalar> ReadyController<S> {
                 current: limits.current,
                 current_command: limits.current_command,
             },
+            bases: &Bases::new(config)?,
         };
         Ok(Self(Controller::new(&config.control, &setting)?))
     }
@@ -167,6 +171,12 @@ impl<S: Scalar> Drive<S> {
         let DriveConfig { limits, timing, .. } = config;
         let ReadyController(controller) = ReadyController::new(config)?;
         let shaft = config.sensors.shaft(timing.period());
+        let bases = Bases::new(config)?;
+        let Bases { speed, acceleration, angle, current, voltage, torque, .. } = bases;
+        let MotorParameters { resistance, back_emf_constant, inertia, .. } = config.motor;
+        let modelled = [(resistance, current), (back_emf_constant, speed)];
+        // However slow the shaft, an edge between two samples' reads is a whole count, and noise may be another.
+        let advance = 2.0 * (limits.speed * timing.period() / shaft.unit.abs() + shaft.grain);
         Ok(Self {
             mode: Mode::Off,
             driving: false,
@@ -174,17 +184,14 @@ impl<S: Scalar> Drive<S> {
             driven: false,
             changed: false,
             controller,
-            sensing: Sensing::new(&config.sensors, limits, timing.rate)?,
-            shaper: Shaper::new(config.shape, timing.rate)?,
-            duty_limit: S::from_f32(limits.duty),
-            speed_limit: S::from_f32(limits.speed),
-            // However slow the shaft, an edge between two samples' reads is a whole count, and noise may be another.
-            advance_limit: S::from_f32(
-                2.0 * (limits.speed * timing.period() / shaft.unit.abs() + shaft.grain),
-            ),
-            current_limit: S::from_f32(limits.current),
-            bus_min: S::from_f32(limits.bus_min),
-            bus_max: S::from_f32(limits.bus_max),
+            sensing: Sensing::new(&config.sensors, limits, timing.rate, &bases)?,
+            shaper: Shaper::new(config.shape, timing.rate, &bases)?,
+            duty_limit: S::from_f32(limits.duty, Base::RATIO),
+            speed_limit: S::from_f32(limits.speed, speed),
+            advance_limit: S::from_f32(advance, angle),
+            current_limit: S::from_f32(limits.current, current),
+            bus_min: S::from_f32(limits.bus_min, voltage),
+            bus_max: S::from_f32(limits.bus_max, voltage),
             voltage: S::ZERO,
             idle_speed: S::ZERO,
             authority_steps: (AUTHORITY_TIME * timing.rate) as u32,
@@ -193,10 +200,11 @@ impl<S: Scalar> Drive<S> {
                 .max(3.0 * config.motor.inductance / config.motor.resistance)
                 * timing.rate) as u32,
             mismatched: 0,
-            mismatch_limit: S::from_f32(MODEL_SHARE * limits.bus_max),
-            back_emf: S::gain(config.motor.back_emf_constant),
-            resistance: S::gain(config.motor.resistance),
-            minus_inertia: S::gain(-config.motor.inertia),
+            mismatch_limit: S::from_f32(MODEL_SHARE * limits.bus_max, voltage),
+            back_emf: S::steep("motor.back_emf_constant", [(back_emf_constant, speed)], voltage)?,
+            modelled: S::steep("motor", modelled, voltage)?,
+            minus_inertia: S::gains("motor.inertia", [(-inertia, acceleration)], torque)?,
+            bases,
         })
     }
 
@@ -241,11 +249,12 @@ impl<S: Scalar> Drive<S> {
     }
 
     /// Commands a speed (rad/s).
-    pub fn set_speed(&mut self, speed: S) -> Result<(), Refusal> {
-        if !speed.is_finite() || speed.abs() > self.speed_limit {
+    pub fn set_speed(&mut self, speed: f32) -> Result<(), Refusal> {
+        let target = S::from_f32(speed, self.bases.speed);
+        if !speed.is_finite() || target.abs() > self.speed_limit {
             return Err(Refusal::SpeedOutOfRange);
         }
-        self.shaper.set_target(speed);
+        self.shaper.set_target(target);
         Ok(())
     }
 
@@ -286,14 +295,14 @@ impl<S: Scalar> Drive<S> {
         if exhausted > self.authority_steps && self.controller.stuck() {
             return self.refuse(Fault::BeyondAuthority);
         }
-        let modelled = S::combine([(self.resistance, measured.current), (self.back_emf, speed)]);
+        let modelled = S::amplify(&self.modelled, [measured.current, speed]);
         let is_mismatched = (self.voltage - modelled).abs() > self.mismatch_limit;
         self.mismatched = if is_mismatched { self.mismatched.wrapping_add(1) } else { 0 };
         if self.mismatched > self.mismatch_steps {
             return self.refuse(Fault::ModelMismatch);
         }
-        let duty = (voltage / measured.bus_voltage).limited(self.duty_limit);
-        self.voltage = duty * measured.bus_voltage;
+        let duty = voltage.ratio(measured.bus_voltage, self.duty_limit);
+        self.voltage = duty.of(measured.bus_voltage);
         BridgeCommand::Duty(duty)
     }
 
@@ -325,7 +334,7 @@ impl<S: Scalar> Drive<S> {
             return Some(measured);
         }
         self.shaper.reset(self.idle_speed);
-        self.voltage = S::combine([(self.back_emf, self.idle_speed)]);
+        self.voltage = S::amplify(&self.back_emf, [self.idle_speed]);
         self.controller.start(&measured, self.shaper.clone().advance());
         Some(measured)
     }
@@ -384,6 +393,11 @@ impl<S: Scalar> Drive<S> {
         }
     }
 
+    /// What full scale is, for signals in fixed point.
+    pub fn bases(&self) -> &Bases {
+        &self.bases
+    }
+
     /// Whether the drive drives, and if not, why.
     pub fn mode(&self) -> Mode {
         self.mode
@@ -398,7 +412,7 @@ impl<S: Scalar> Drive<S> {
             signals,
             voltage: self.voltage,
             sliding_variables: self.controller.sliding_variables(),
-            load_torque: S::combine([(self.minus_inertia, signals.disturbance)]),
+            load_torque: S::combine(&self.minus_inertia, [signals.disturbance]),
         })
     }
 }

@@ -3,6 +3,7 @@
 use crate::config::{ConfigError, positive, require};
 use crate::hal::READS;
 use crate::math::{Scalar, exp_m1};
+use crate::per_unit::Bases;
 use crate::sense::{Measured, Rotation, Shaft};
 use serde::{Deserialize, Serialize};
 
@@ -36,13 +37,13 @@ pub(crate) enum SpeedEstimator<S: Scalar> {
 #[derive(Clone, Debug)]
 pub(crate) struct Difference<S: Scalar> {
     speed: S,
-    rate: S::Gain,
-    keep: S::Gain,
+    rate: S::Steep<1>,
+    share: S::Gains<1>,
 }
 
 impl<S: Scalar> SpeedEstimator<S> {
     /// For an encoder, or exact sensors.
-    pub fn new(source: &SpeedSource, shaft: &Shaft) -> Result<Self, ConfigError> {
+    pub fn new(source: &SpeedSource, shaft: &Shaft, bases: &Bases) -> Result<Self, ConfigError> {
         let period = shaft.period;
         match *source {
             SpeedSource::Exact => {
@@ -54,15 +55,23 @@ impl<S: Scalar> SpeedEstimator<S> {
                 let share = -exp_m1(-checked(bandwidth, period)? * period);
                 Ok(Self::Difference(Difference {
                     speed: S::ZERO,
-                    rate: S::gain(share / period * shaft.unit),
-                    keep: S::gain(1.0 - share),
+                    rate: S::steep(
+                        "control.speed",
+                        [(shaft.unit / period, bases.angle)],
+                        bases.speed,
+                    )?,
+                    share: S::gains(
+                        "control.speed.bandwidth",
+                        [(share, bases.speed)],
+                        bases.speed,
+                    )?,
                 }))
             }
             SpeedSource::Pll { bandwidth, fed } => {
                 let share = -exp_m1(-checked(bandwidth, period)? * period);
                 // Both poles at 1 − share.
                 let gains = [share * (2.0 - share), share * share / period];
-                Ok(Self::Pll { observer: AngleObserver::new(gains, 0.0, shaft), fed })
+                Ok(Self::Pll { observer: AngleObserver::new(gains, 0.0, shaft, bases)?, fed })
             }
         }
     }
@@ -81,8 +90,9 @@ impl<S: Scalar> SpeedEstimator<S> {
     pub fn step(&mut self, measured: &Measured<S>, acceleration: S) -> S {
         match self {
             Self::Exact => measured.speed,
-            Self::Difference(Difference { speed, rate, keep }) => {
-                *speed = S::combine([(*rate, measured.rotation.advance), (*keep, *speed)]);
+            Self::Difference(Difference { speed, rate, share }) => {
+                let difference = S::amplify(rate, [measured.rotation.advance]);
+                *speed = *speed + S::combine(share, [difference - *speed]);
                 *speed
             }
             Self::Pll { observer, fed } => {
@@ -116,25 +126,22 @@ pub(crate) struct AngleObserver<S: Scalar> {
     pub speed: S,
     /// Estimated angle less that of the reads' mean (in units of the rotation, as all angles here).
     lead: S,
-    /// Angle per speed over the period, and per acceleration.
-    period: S::Gain,
-    half_period_squared: S::Gain,
+    /// Angle per speed and acceleration over the period.
+    turned: S::Gains<2>,
     /// Speed per acceleration over the period (s).
-    time: S::Gain,
-    age: S::Gain,
-    half_age_squared: S::Gain,
+    time: S::Gains<1>,
+    /// Angle per speed and acceleration over the reads' age.
+    aged: S::Gains<2>,
     /// Angle per speed between two reads, and per acceleration that was less then.
-    distance: S::Gain,
-    distance_back: S::Gain,
+    distance: S::Gains<2>,
     /// Share of the mean's innovation in that of the reads.
-    share: S,
+    share: S::Gains<1>,
     /// Speed below which the mean's counts alone (rad/s).
     slow: S,
     /// From the edge below a counter's reads to where they are in the mean: half a count, or nothing.
     offset: S,
-    per_read: S::Gain,
-    angle_gain: S::Gain,
-    speed_gain: S::Gain,
+    angle_gain: S::Gains<1>,
+    speed_gain: S::Steep<1>,
 }
 
 impl<S: Scalar> AngleObserver<S> {
@@ -142,42 +149,49 @@ impl<S: Scalar> AngleObserver<S> {
     /// observer around this one.
     ///
     /// For reads that are τ old the same poles need the gains shifted by τ along the model: g1 + τ·g2 + τ²/2·g3, g2 + τ·g3, g3.
-    pub fn new([g1, g2]: [f32; 2], g3: f32, shaft: &Shaft) -> Self {
+    pub fn new(
+        [g1, g2]: [f32; 2],
+        g3: f32,
+        shaft: &Shaft,
+        bases: &Bases,
+    ) -> Result<Self, ConfigError> {
         let &Shaft { period, least_age, age, unit, counts, .. } = shaft;
-        let offset = S::from_f32(if counts { 0.5 } else { 0.0 });
+        let &Bases { angle, speed, acceleration, .. } = bases;
+        let offset = S::from_f32(if counts { 0.5 } else { 0.0 }, angle);
         let distance = period / READS as f32;
-        Self {
+        let angle_of = |of_speed: f32, of_acceleration: f32| {
+            let gains = [(of_speed / unit, speed), (of_acceleration / unit, acceleration)];
+            S::gains("sensors", gains, angle)
+        };
+        let angle_gain = g1 + age * (g2 + 0.5 * age * g3);
+        let speed_gain = (g2 + age * g3) * unit;
+        Ok(Self {
             speed: S::ZERO,
             lead: offset,
-            period: S::gain(period / unit),
-            half_period_squared: S::gain(0.5 * period * period / unit),
-            time: S::gain(period),
-            age: S::gain(least_age / unit),
-            half_age_squared: S::gain(-0.5 * age * age / unit),
-            distance: S::gain(distance / unit),
-            distance_back: S::gain(-0.5 * period * distance / unit),
-            share: S::from_f32(0.1),
-            slow: S::from_f32(0.05 * unit.abs() / period),
+            turned: angle_of(period, 0.5 * period * period)?,
+            time: S::gains("timing.rate", [(period, acceleration)], speed)?,
+            aged: angle_of(least_age, -0.5 * age * age)?,
+            distance: angle_of(distance, -0.5 * period * distance)?,
+            share: S::gains("sensors", [(0.1, angle)], angle)?,
+            slow: S::from_f32(0.05 * unit.abs() / period, speed),
             offset,
-            per_read: S::gain(1.0 / READS as f32),
-            angle_gain: S::gain(g1 + age * (g2 + 0.5 * age * g3)),
-            speed_gain: S::gain((g2 + age * g3) * unit),
-        }
+            angle_gain: S::gains("control.observer_bandwidth", [(angle_gain, angle)], angle)?,
+            speed_gain: S::steep("control.observer_bandwidth", [(speed_gain, angle)], speed)?,
+        })
     }
 
     /// Goes on from a known speed (rad/s).
     pub fn resume(&mut self, speed: S) {
         self.speed = speed;
-        self.lead = S::combine([(self.age, speed)]) + self.offset;
+        self.lead = S::combine(&self.aged, [speed, S::ZERO]) + self.offset;
     }
 
     /// On to the next sample, with the mean acceleration since (rad/s²).
     #[inline]
     fn predict(&mut self, rotation: &Rotation<S>, acceleration: S) {
-        let turned =
-            S::combine([(self.period, self.speed), (self.half_period_squared, acceleration)]);
+        let turned = S::combine(&self.turned, [self.speed, acceleration]);
         self.lead = self.lead + (turned - rotation.advance);
-        self.speed = self.speed + S::combine([(self.time, acceleration)]);
+        self.speed = self.speed + S::combine(&self.time, [acceleration]);
     }
 
     /// On to the next sample: by how much the mean of its reads is ahead of what it should be.
@@ -196,31 +210,30 @@ impl<S: Scalar> AngleObserver<S> {
     pub fn innovation_of_counts(&mut self, rotation: &Rotation<S>, acceleration: S) -> S {
         self.predict(rotation, acceleration);
         let distance = self.distance(acceleration);
-        let at_last_read = self.lead + rotation.behind - rotation.shift * distance;
-        let counted = S::counted(at_last_read, distance);
-        let of_counts = rotation.behind - S::combine([(self.per_read, counted)]);
+        let at_last_read = self.lead + rotation.behind - distance.part(rotation.shift);
+        let of_counts = rotation.behind - S::mean_count(at_last_read, distance);
         let of_mean = self.innovation_of_mean(distance, rotation, acceleration);
-        let share = if self.speed.abs() < self.slow { S::ONE } else { self.share };
-        of_counts + share * (of_mean - of_counts)
+        let blended = of_counts + S::combine(&self.share, [of_mean - of_counts]);
+        if self.speed.abs() < self.slow { of_mean } else { blended }
     }
 
     /// What the shaft turned from one read to the next.
     #[inline]
     fn distance(&self, acceleration: S) -> S {
-        S::combine([(self.distance, self.speed), (self.distance_back, acceleration)])
+        S::combine(&self.distance, [self.speed, acceleration])
     }
 
     #[inline]
     fn innovation_of_mean(&self, distance: S, rotation: &Rotation<S>, acceleration: S) -> S {
-        let expected = S::combine([(self.age, self.speed), (self.half_age_squared, acceleration)]);
-        expected + rotation.shift * distance + self.offset - self.lead
+        let expected = S::combine(&self.aged, [self.speed, acceleration]);
+        expected + distance.part(rotation.shift) + self.offset - self.lead
     }
 
     /// Takes a share of the innovation into the estimates. Gives the correction of the speed (rad/s).
     #[inline]
     pub fn correct(&mut self, innovation: S) -> S {
-        self.lead = self.lead + S::combine([(self.angle_gain, innovation)]);
-        let correction = S::combine([(self.speed_gain, innovation)]);
+        self.lead = self.lead + S::combine(&self.angle_gain, [innovation]);
+        let correction = S::amplify(&self.speed_gain, [innovation]);
         self.speed = self.speed + correction;
         correction
     }
@@ -245,7 +258,7 @@ mod tests {
     }
 
     fn measured(advance: f32) -> Measured<f32> {
-        let rotation = Rotation { advance, behind: 0.0, shift: 0.0 };
+        let rotation = Rotation { advance, behind: 0.0, shift: 0 };
         Measured { rotation, speed: 0.0, current: 0.0, bus_voltage: 24.0 }
     }
 
@@ -258,7 +271,7 @@ mod tests {
         ] {
             for age in [0.0, 15.0 / 32.0 * PERIOD] {
                 let mut estimator =
-                    SpeedEstimator::<f32>::new(&source, &shaft(age)).expect("valid");
+                    SpeedEstimator::<f32>::new(&source, &shaft(age), &Bases::NONE).expect("valid");
                 let mut speed = 0.0;
                 for _ in 0..2000 {
                     speed = estimator.step(&measured(100.0 * PERIOD), 0.0);
@@ -275,7 +288,8 @@ mod tests {
         for (fed, lag) in [(false, 2.0 * acceleration / 500.0), (true, 0.0)] {
             let age = 15.0 / 32.0 * PERIOD;
             let source = SpeedSource::Pll { bandwidth: 500.0, fed };
-            let mut estimator = SpeedEstimator::<f32>::new(&source, &shaft(age)).expect("valid");
+            let mut estimator =
+                SpeedEstimator::<f32>::new(&source, &shaft(age), &Bases::NONE).expect("valid");
             let angle = |time: f64| 0.5 * f64::from(acceleration) * time * time;
             let mut error = 0.0;
             for period in 1..2000 {
@@ -292,7 +306,8 @@ mod tests {
     fn bandwidths_are_checked() {
         for bandwidth in [0.0, f32::NAN, 30_000.0] {
             let source = SpeedSource::Pll { bandwidth, fed: true };
-            let error = SpeedEstimator::<f32>::new(&source, &shaft(0.0)).expect_err("refused");
+            let error = SpeedEstimator::<f32>::new(&source, &shaft(0.0), &Bases::NONE)
+                .expect_err("refused");
             assert_eq!(error.field, "control.speed.bandwidth");
         }
     }

@@ -10,6 +10,7 @@
 //! - [`math`]: the [`Scalar`](math::Scalar) that the loop computes in, and the only door to transcendental functions.
 //! - [`config`]: the error that every refused configuration ends in.
 //! - [`motor`]: nameplate parameters to the coefficients a1…a4.
+//! - [`per_unit`]: what full scale is in fixed point.
 //! - [`trajectory`]: reference shaping, from a commanded speed to a reference with its derivatives.
 //! - [`hal`]: one exchange per PWM period between the drive and a board.
 //! - [`sense`]: from a board's codes and counts to SI units; [`estimate`]: from the shaft's angle to its speed.
@@ -98,6 +99,7 @@ pub mod hal;
 mod limits;
 pub mod math;
 pub mod motor;
+pub mod per_unit;
 pub mod protocol;
 pub mod sense;
 pub mod trajectory;

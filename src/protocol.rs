@@ -3,17 +3,54 @@
 //! The host opens with a [`Setup`]; the drive answers with its [`VERSION`] and a [`Verdict`]. From then on the host asks, each time
 //! with one byte for a [`Question`] and the words that belong to it. A period is a sample and a [`Reply`], kept short: an emulated
 //! serial port takes its time for every byte. What the period did is in the reply as a digest only; the [`Record`] behind
-//! it is told when asked for. Numbers travel as the bit patterns of their f32, so that both sides can be held to the same
-//! bits. Words are little-endian.
+//! it is told when asked for. Signals travel as the bit patterns of the drive's scalar, a [`Word`], so that both sides can be
+//! held to the same bits. Words are little-endian.
 
 use crate::drive::{DriveConfig, Fault, Mode, Telemetry};
 use crate::hal::{BridgeCommand, Codes, Exact, READS};
+use crate::math::{Q31, Scalar};
 
 /// Version of the messages: both sides must have the same.
-pub const VERSION: u32 = 2;
+pub const VERSION: u32 = 3;
 
 /// First word of either side's first message.
 pub const MAGIC: u32 = u32::from_le_bytes(*b"qdrv");
+
+/// A scalar that is a word.
+pub trait Word: Scalar {
+    /// What tells it from the others: the drive's answer to a [`Setup`] ends with it.
+    const NAME: u32;
+
+    /// The scalar's bits.
+    fn to_word(self) -> u32;
+
+    /// The scalar of these bits.
+    fn from_word(word: u32) -> Self;
+}
+
+impl Word for f32 {
+    const NAME: u32 = u32::from_le_bytes(*b"f32 ");
+
+    fn to_word(self) -> u32 {
+        self.to_bits()
+    }
+
+    fn from_word(word: u32) -> Self {
+        Self::from_bits(word)
+    }
+}
+
+impl Word for Q31 {
+    const NAME: u32 = u32::from_le_bytes(*b"q31 ");
+
+    fn to_word(self) -> u32 {
+        self.0 as u32
+    }
+
+    fn from_word(word: u32) -> Self {
+        Self(word as i32)
+    }
+}
 
 /// The drive's answer to a [`Setup`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -91,13 +128,13 @@ pub const EXACT_WORDS: usize = 4;
 pub const CODES_WORDS: usize = 2 + READS / 2;
 
 /// An exact sample as words.
-pub fn exact_to_words(exact: &Exact<f32>) -> [u32; EXACT_WORDS] {
-    [exact.speed, exact.advance, exact.current, exact.bus_voltage].map(f32::to_bits)
+pub fn exact_to_words<S: Word>(exact: &Exact<S>) -> [u32; EXACT_WORDS] {
+    [exact.speed, exact.advance, exact.current, exact.bus_voltage].map(S::to_word)
 }
 
 /// An exact sample from words.
-pub fn exact_from_words(words: [u32; EXACT_WORDS]) -> Exact<f32> {
-    let [speed, advance, current, bus_voltage] = words.map(f32::from_bits);
+pub fn exact_from_words<S: Word>(words: [u32; EXACT_WORDS]) -> Exact<S> {
+    let [speed, advance, current, bus_voltage] = words.map(S::from_word);
     Exact { speed, advance, current, bus_voltage }
 }
 
@@ -129,13 +166,13 @@ pub fn codes_from_words(words: [u32; CODES_WORDS]) -> Codes {
 
 /// What a period did, in full.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Record {
+pub struct Record<S> {
     /// What the bridge was told.
-    pub command: BridgeCommand<f32>,
+    pub command: BridgeCommand<S>,
     /// The mode after the period.
     pub mode: Mode,
     /// What the last driven period did.
-    pub telemetry: Option<Telemetry<f32>>,
+    pub telemetry: Option<Telemetry<S>>,
 }
 
 const MODES: [Mode; 10] = [
@@ -154,38 +191,38 @@ const MODES: [Mode; 10] = [
 /// Bit of a record's first word that says that there is a duty.
 const DRIVEN: u32 = 1 << 8;
 
-impl Record {
-    /// Words of a record.
-    pub const WORDS: usize = 14;
+/// Words of a [`Record`].
+pub const RECORD_WORDS: usize = 14;
 
-    /// What each word is, in order.
-    pub const NAMES: [&str; Self::WORDS] = [
-        "mode",
-        "duty",
-        "reference",
-        "reference's acceleration",
-        "reference's jerk",
-        "speed",
-        "z1",
-        "z2",
-        "disturbance",
-        "wanted voltage",
-        "voltage",
-        "first sliding variable",
-        "second sliding variable",
-        "load torque",
-    ];
+/// What each of them is, in order.
+pub const RECORD_NAMES: [&str; RECORD_WORDS] = [
+    "mode",
+    "duty",
+    "reference",
+    "reference's acceleration",
+    "reference's jerk",
+    "speed",
+    "z1",
+    "z2",
+    "disturbance",
+    "wanted voltage",
+    "voltage",
+    "first sliding variable",
+    "second sliding variable",
+    "load torque",
+];
 
+impl<S: Word> Record<S> {
     /// As words: the mode, with a bit for a driven bridge, the duty, and the telemetry (zeros for none).
-    pub fn to_words(&self) -> [u32; Self::WORDS] {
+    pub fn to_words(&self) -> [u32; RECORD_WORDS] {
         let mode = MODES.iter().position(|mode| *mode == self.mode).unwrap_or_default() as u32;
         let (driven, duty) = match self.command {
-            BridgeCommand::Off => (0, 0.0),
+            BridgeCommand::Off => (0, S::ZERO),
             BridgeCommand::Duty(duty) => (DRIVEN, duty),
         };
         let [r0, r1, r2, s0, s1, s2, s3, s4, voltage, y1, y2, load_torque] =
             match &self.telemetry {
-                None => [0.0; 12],
+                None => [S::ZERO; 12],
                 Some(Telemetry { reference, signals, voltage, sliding_variables, load_torque }) => {
                     [
                         reference.speed,
@@ -203,9 +240,9 @@ impl Record {
                     ]
                 }
             }
-            .map(f32::to_bits);
+            .map(S::to_word);
         let first = mode | driven;
-        [first, duty.to_bits(), r0, r1, r2, s0, s1, s2, s3, s4, voltage, y1, y2, load_torque]
+        [first, duty.to_word(), r0, r1, r2, s0, s1, s2, s3, s4, voltage, y1, y2, load_torque]
     }
 
     /// The drive's answer to a period.
@@ -307,7 +344,14 @@ mod tests {
     #[test]
     fn sample_and_question_survive_the_journey() {
         let exact = Exact { speed: -1.5, advance: 0.25, current: 2.5, bus_voltage: 24.0 };
-        assert_eq!(exact_from_words(exact_to_words(&exact)), exact);
+        assert_eq!(exact_from_words(exact_to_words::<f32>(&exact)), exact);
+        let fixed = Exact {
+            speed: Q31(-1),
+            advance: Q31(i32::MIN),
+            current: Q31(i32::MAX),
+            bus_voltage: Q31(7),
+        };
+        assert_eq!(exact_from_words(exact_to_words(&fixed)), fixed);
         let encoder = core::array::from_fn(|index| 65_530 + index as u16 % 6);
         let codes = Codes { current: 2048, bus_voltage: 3200, encoder, shift: 200 };
         assert_eq!(codes_from_words(codes_to_words(&codes)), codes);
@@ -339,7 +383,7 @@ mod tests {
         let numbers = words.map(f32::from_bits);
         assert_eq!(numbers[1], -0.25);
         assert_eq!(numbers[2..], [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0]);
-        for index in 0..Record::WORDS {
+        for index in 0..RECORD_WORDS {
             for bit in 0..32 {
                 let mut other = words;
                 other[index] ^= 1 << bit;

@@ -3,7 +3,8 @@
 use crate::config::{ConfigError, positive, require};
 use crate::hal::{Codes, Exact, READS, Sample};
 use crate::limits::Limits;
-use crate::math::Scalar;
+use crate::math::{Base, Scalar};
+use crate::per_unit::Bases;
 use serde::{Deserialize, Serialize};
 
 /// What a board's samples are.
@@ -108,8 +109,8 @@ pub struct Rotation<S> {
     pub advance: S,
     /// From this sample's last read to the mean of its reads.
     pub behind: S,
-    /// How much earlier than usual the reads were, in distances of two reads, from 0 to 1.
-    pub shift: S,
+    /// How much earlier than usual the reads were, in 1/256 of the distance of two reads.
+    pub shift: u8,
 }
 
 /// What is known of a shaft's angle.
@@ -149,9 +150,9 @@ pub struct Measured<S> {
 #[repr(C)]
 pub struct Sensing<S: Scalar> {
     encoder: Option<Encoder<S>>,
-    current: S::Gain,
+    current: S::Steep<1>,
     current_zero: S,
-    bus_voltage: S::Gain,
+    bus_voltage: S::Steep<1>,
 }
 
 #[derive(Clone, Debug)]
@@ -160,9 +161,7 @@ struct Encoder<S: Scalar> {
     before: u16,
     reads: Reads,
     /// Counts per unit of that sum.
-    per_read: S::Gain,
-    /// Distances of two reads per unit of the shift.
-    per_shift: S::Gain,
+    per_read: S::Gains<1>,
     edges: Edges<S>,
 }
 
@@ -198,15 +197,15 @@ impl<S: Scalar> Edges<S> {
                     let counts = count.wrapping_sub(last) as i16;
                     // Back across the same edge says nothing of how fast.
                     let turned = core::mem::replace(&mut self.up, counts > 0) != (counts > 0);
-                    let counts = if turned { S::ZERO } else { S::from_difference(counts) };
-                    self.speed = counts * self.count_per_read / S::from_difference(reads);
+                    self.speed =
+                        self.count_per_read.fraction(if turned { 0 } else { counts }, reads);
                 }
                 self.reads_since = READS as i16 - index;
             }
             None => {
                 // As long as no edge comes the speed is at most a count in the time since the last one.
                 self.reads_since = self.reads_since.saturating_add(READS as i16);
-                let most = self.count_per_read / S::from_difference(self.reads_since);
+                let most = self.count_per_read.fraction(1, self.reads_since);
                 self.speed = match self.reads_since {
                     i16::MAX => S::ZERO,
                     _ => self.speed.limited(most.abs()),
@@ -219,14 +218,19 @@ impl<S: Scalar> Edges<S> {
 
 impl<S: Scalar> Sensing<S> {
     /// For a drive's limits, all of which must lie within what the sensors tell, and its sampling rate (Hz).
-    pub(crate) fn new(sensors: &Sensors, limits: &Limits, rate: f32) -> Result<Self, ConfigError> {
+    pub(crate) fn new(
+        sensors: &Sensors,
+        limits: &Limits,
+        rate: f32,
+        bases: &Bases,
+    ) -> Result<Self, ConfigError> {
         let &Limits { speed, current: over_current, bus_max, .. } = limits;
         let &Sensors::Codes(calibration) = sensors else {
             return Ok(Self {
                 encoder: None,
-                current: S::gain(1.0),
+                current: S::steep("sensors", [(1.0, Base::CODE)], Base::CODE)?,
                 current_zero: S::ZERO,
-                bus_voltage: S::gain(1.0),
+                bus_voltage: S::steep("sensors", [(1.0, Base::CODE)], Base::CODE)?,
             });
         };
         let Calibration { current_per_code, current_zero, bus_voltage_per_code, .. } = calibration;
@@ -266,29 +270,36 @@ impl<S: Scalar> Sensing<S> {
             "must be at most 1000 counts a period",
             speed,
         )?;
-        let (per_read, per_shift) = match calibration.reads {
-            Reads::All => (1.0 / READS as f32, 0.0),
-            Reads::Shifted => (1.0 / READS as f32, 1.0 / 256.0),
-            Reads::Last | Reads::Edges => (1.0, 0.0),
+        let per_read = match calibration.reads {
+            Reads::All | Reads::Shifted => 1.0 / READS as f32,
+            Reads::Last | Reads::Edges => 1.0,
         };
+        let count_per_read = calibration.count() * rate * READS as f32;
         Ok(Self {
             encoder: Some(Encoder {
                 before: 0,
                 reads: calibration.reads,
-                per_read: S::gain(per_read),
-                per_shift: S::gain(per_shift),
+                per_read: S::gains("sensors.reads", [(per_read, Base::COUNT)], bases.angle)?,
                 edges: Edges {
                     before: None,
                     last: None,
                     up: true,
                     reads_since: 0,
                     speed: S::ZERO,
-                    count_per_read: S::from_f32(calibration.count() * rate * READS as f32),
+                    count_per_read: S::from_f32(count_per_read, bases.speed),
                 },
             }),
-            current: S::gain(current_per_code),
-            current_zero: S::from_f32(current_zero),
-            bus_voltage: S::gain(bus_voltage_per_code),
+            current: S::steep(
+                "sensors.current_per_code",
+                [(current_per_code, Base::CODE)],
+                bases.current,
+            )?,
+            current_zero: S::from_f32(current_zero, Base::CODE),
+            bus_voltage: S::steep(
+                "sensors.bus_voltage_per_code",
+                [(bus_voltage_per_code, Base::CODE)],
+                bases.voltage,
+            )?,
         })
     }
 
@@ -307,12 +318,12 @@ impl<S: Scalar> Sensing<S> {
                 Some(Measured {
                     rotation,
                     speed,
-                    current: S::combine([(self.current, current)]),
-                    bus_voltage: S::combine([(self.bus_voltage, bus_voltage)]),
+                    current: S::amplify(&self.current, [current]),
+                    bus_voltage: S::amplify(&self.bus_voltage, [bus_voltage]),
                 })
             }
             (&Sample::Exact(Exact { speed, advance, current, bus_voltage }), None) => {
-                let rotation = Rotation { advance, behind: S::ZERO, shift: S::ZERO };
+                let rotation = Rotation { advance, behind: S::ZERO, shift: 0 };
                 Some(Measured { rotation, speed, current, bus_voltage })
             }
             _ => None,
@@ -333,11 +344,11 @@ impl<S: Scalar> Encoder<S> {
             Reads::Last | Reads::Edges => (last, last),
         };
         let counts =
-            |difference: u16| S::combine([(self.per_read, S::from_difference(difference as i16))]);
+            |difference: u16| S::combine(&self.per_read, [S::from_difference(difference as i16)]);
         let rotation = Rotation {
             advance: counts(sum.wrapping_sub(self.before)),
             behind: counts(sum.wrapping_sub(of_last)),
-            shift: S::combine([(self.per_shift, S::from_code(codes.shift.into()))]),
+            shift: if self.reads == Reads::Shifted { codes.shift } else { 0 },
         };
         self.before = sum;
         rotation
@@ -370,8 +381,12 @@ mod tests {
 
     const COUNT: f32 = core::f32::consts::TAU / 4096.0;
 
+    fn built(sensors: &Sensors, limits: &Limits) -> Result<Sensing<f32>, ConfigError> {
+        Sensing::new(sensors, limits, 20_000.0, &Bases::NONE)
+    }
+
     fn sensing(calibration: Calibration) -> Sensing<f32> {
-        Sensing::new(&Sensors::Codes(calibration), &limits(1000.0), 20_000.0).expect("valid")
+        built(&Sensors::Codes(calibration), &limits(1000.0)).expect("valid")
     }
 
     fn codes(encoder: [u16; READS]) -> Sample<f32> {
@@ -454,7 +469,8 @@ mod tests {
         for calibration in [GOOD, reversed] {
             let source = SpeedSource::Difference { bandwidth: 2e4 };
             let shaft = Sensors::Codes(calibration).shaft(5e-5);
-            let mut estimator = SpeedEstimator::<f32>::new(&source, &shaft).expect("valid");
+            let mut estimator =
+                SpeedEstimator::<f32>::new(&source, &shaft, &Bases::NONE).expect("valid");
             let mut sensing = sensing(calibration);
             let mut speed = 0.0;
             for period in 0..100 {
@@ -513,7 +529,7 @@ mod tests {
             (Reads::Edges, true),
         ] {
             let shaft = Sensors::Codes(Calibration { reads, ..GOOD }).shaft(5e-5);
-            let built = SpeedEstimator::<f32>::new(&SpeedSource::Exact, &shaft);
+            let built = SpeedEstimator::<f32>::new(&SpeedSource::Exact, &shaft, &Bases::NONE);
             assert_eq!(
                 built.map_err(|error| error.field).err(),
                 (!tells).then_some("control.speed")
@@ -525,7 +541,7 @@ mod tests {
     fn the_largest_accepted_speed_is_told_right_and_a_larger_one_is_refused() {
         // 1000 counts a period are 16,000 of the sum: within ±32,768, the double still is.
         let fastest = 1000.0 * COUNT * 20_000.0;
-        let new = |speed| Sensing::<f32>::new(&Sensors::Codes(GOOD), &limits(speed), 20_000.0);
+        let new = |speed| built(&Sensors::Codes(GOOD), &limits(speed));
         assert_eq!(new(1.001 * fastest).expect_err("too fast").field, "limits.speed");
         let mut sensing = new(0.999 * fastest).expect("valid");
         for counts in [1000_i32, -1000, 2000, -2000] {
@@ -548,8 +564,7 @@ mod tests {
     fn samples_of_the_other_kind_and_without_numbers_are_none() {
         let exact = Exact { speed: 1.0, advance: 1e-4, current: 2.0, bus_voltage: 24.0 };
         assert!(sensing(GOOD).read(&Sample::Exact(exact)).is_none());
-        let mut ideal =
-            Sensing::<f32>::new(&Sensors::Exact, &limits(1000.0), 20_000.0).expect("valid");
+        let mut ideal = built(&Sensors::Exact, &limits(1000.0)).expect("valid");
         assert!(ideal.read(&codes([0; READS])).is_none());
         let measured = ideal.read(&Sample::Exact(exact)).expect("exact");
         assert_eq!((measured.speed, measured.rotation.advance, measured.current), (1.0, 1e-4, 2.0));
@@ -574,15 +589,12 @@ mod tests {
             (Calibration { bus_voltage_per_code: 0.006, ..GOOD }, "limits.bus_max"),
         ];
         for (calibration, field) in cases {
-            let error =
-                Sensing::<f32>::new(&Sensors::Codes(calibration), &limits(1000.0), 20_000.0);
+            let error = built(&Sensors::Codes(calibration), &limits(1000.0));
             assert_eq!(error.expect_err(field).field, field, "{calibration:?}");
         }
         for counts_per_turn in [16, -16, 65_536, -65_536] {
             let calibration = Calibration { counts_per_turn, ..GOOD };
-            assert!(
-                Sensing::<f32>::new(&Sensors::Codes(calibration), &limits(100.0), 20_000.0).is_ok()
-            );
+            assert!(built(&Sensors::Codes(calibration), &limits(100.0)).is_ok());
         }
     }
 }

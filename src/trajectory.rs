@@ -1,7 +1,8 @@
 //! Reference shaping: from a commanded speed to a reference with the two derivatives that the law feeds forward.
 
 use crate::config::{ConfigError, positive, require};
-use crate::math::{Scalar, ceil, exp_m1, sqrt};
+use crate::math::{Base, Scalar, ceil, exp_m1, log2_ceil, sqrt};
+use crate::per_unit::Bases;
 use serde::{Deserialize, Serialize};
 
 /// The reference at one sample.
@@ -52,11 +53,16 @@ pub enum Shape {
 #[repr(C)]
 pub struct Shaper<S: Scalar> {
     kind: Kind<S>,
-    period: S::Gain,
-    half_period_squared: S::Gain,
+    /// The derivatives here are in bases that are 2^`fine` times smaller than those of the reference: their rounding errors add up.
+    fine: u32,
+    /// What the speed and the acceleration change by in a period.
+    moved: S::Gains<2>,
+    gained: S::Gains<1>,
     target: S,
     /// The output less the target: small where it settles, so that no small increment is lost to rounding.
     rest: S,
+    acceleration: S,
+    jerk: S,
     /// The reference at the last sample.
     reference: Reference<S>,
 }
@@ -64,16 +70,22 @@ pub struct Shaper<S: Scalar> {
 #[derive(Clone, Debug)]
 enum Kind<S: Scalar> {
     Step,
-    SecondOrder { stiffness: S::Gain, damping: S::Gain },
+    SecondOrder { stiffness: S::Steep<1>, damping: S::Steep<1> },
     SCurve(SCurve<S>),
 }
 
 impl<S: Scalar> Shaper<S> {
     /// A shaper at rest at zero speed, for a sampling rate in Hz.
-    pub(crate) fn new(shape: Shape, rate: f32) -> Result<Self, ConfigError> {
+    pub(crate) fn new(shape: Shape, rate: f32, bases: &Bases) -> Result<Self, ConfigError> {
         let period = 1.0 / rate;
-        let kind = match shape {
-            Shape::Step => Kind::Step,
+        let &Bases { speed, acceleration: of_acceleration, jerk: of_jerk, .. } = bases;
+        // A quarter of the finer bases holds this much.
+        let fine_for = |acceleration: f32, jerk: f32| {
+            let share = (acceleration / of_acceleration.0).max(jerk / of_jerk.0);
+            (-log2_ceil(4.0 * share)).clamp(0, 16) as u32
+        };
+        let (kind, fine) = match shape {
+            Shape::Step => (Kind::Step, 0),
             Shape::SecondOrder { bandwidth } => {
                 require(
                     bandwidth > 0.0 && bandwidth <= 0.5 * rate,
@@ -83,10 +95,18 @@ impl<S: Scalar> Shaper<S> {
                 )?;
                 // A double integrator over a held jerk, with both poles placed where e^(−w·h) puts them.
                 let decay = -exp_m1(-bandwidth * period);
-                Kind::SecondOrder {
-                    stiffness: S::gain(-decay * decay / (period * period)),
-                    damping: S::gain(-(2.0 * decay - 0.5 * decay * decay) / period),
-                }
+                let stiffness = -decay * decay / (period * period);
+                let damping = -(2.0 * decay - 0.5 * decay * decay) / period;
+                // From one end of the speeds to the other, and back before it is there.
+                let way = 0.25 * speed.0;
+                let fine = fine_for(bandwidth * way, bandwidth * bandwidth * way);
+                let (acceleration, jerk) = (of_acceleration.finer(fine), of_jerk.finer(fine));
+                let field = "reference.bandwidth";
+                let kind = Kind::SecondOrder {
+                    stiffness: S::steep(field, [(stiffness, speed)], jerk)?,
+                    damping: S::steep(field, [(damping, acceleration)], jerk)?,
+                };
+                (kind, fine)
             }
             Shape::SCurve { acceleration, jerk } => {
                 positive("reference.acceleration", acceleration)?;
@@ -97,15 +117,22 @@ impl<S: Scalar> Shaper<S> {
                     "must be at most reference.acceleration a sampling period",
                     jerk,
                 )?;
-                Kind::SCurve(SCurve::new(acceleration, jerk, period))
+                let fine = fine_for(acceleration, 1.1 * jerk);
+                let bases = [speed, of_acceleration.finer(fine), of_jerk.finer(fine)];
+                (Kind::SCurve(SCurve::new(acceleration, jerk, period, bases)), fine)
             }
         };
+        let (acceleration, jerk) = (of_acceleration.finer(fine), of_jerk.finer(fine));
+        let moved = [(period, acceleration), (0.5 * period * period, jerk)];
         Ok(Self {
             kind,
-            period: S::gain(period),
-            half_period_squared: S::gain(0.5 * period * period),
+            fine,
+            moved: S::gains("timing.rate", moved, speed)?,
+            gained: S::gains("timing.rate", [(period, jerk)], acceleration)?,
             target: S::ZERO,
             rest: S::ZERO,
+            acceleration: S::ZERO,
+            jerk: S::ZERO,
             reference: Reference::constant(S::ZERO),
         })
     }
@@ -123,6 +150,8 @@ impl<S: Scalar> Shaper<S> {
     /// Starts anew from a speed (rad/s), at rest in its derivatives.
     pub fn reset(&mut self, speed: S) {
         self.rest = speed - self.target;
+        self.acceleration = S::ZERO;
+        self.jerk = S::ZERO;
         self.reference = Reference::constant(speed);
         self.replan();
     }
@@ -136,31 +165,32 @@ impl<S: Scalar> Shaper<S> {
     /// Goes on to the next sample.
     #[inline]
     pub fn advance(&mut self) -> &Reference<S> {
-        let reference = &mut self.reference;
         if let Kind::Step = self.kind {
-            reference.speed = self.target;
-            return reference;
+            self.reference.speed = self.target;
+            return &self.reference;
         }
-        let Reference { acceleration, jerk, .. } = *reference;
-        self.rest =
-            self.rest + S::combine([(self.period, acceleration), (self.half_period_squared, jerk)]);
-        reference.acceleration = acceleration + S::combine([(self.period, jerk)]);
+        self.rest = self.rest + S::combine(&self.moved, [self.acceleration, self.jerk]);
+        self.acceleration = self.acceleration + S::combine(&self.gained, [self.jerk]);
         match &mut self.kind {
             Kind::Step => {}
             Kind::SecondOrder { stiffness, damping } => {
-                reference.jerk =
-                    S::combine([(*stiffness, self.rest), (*damping, reference.acceleration)]);
+                self.jerk =
+                    S::amplify(stiffness, [self.rest]) + S::amplify(damping, [self.acceleration]);
             }
             Kind::SCurve(curve) => {
-                if curve.is_over(self.rest, reference.acceleration) {
+                if curve.is_over(self.rest, self.acceleration) {
                     self.rest = S::ZERO;
-                    reference.acceleration = S::ZERO;
+                    self.acceleration = S::ZERO;
                 }
-                reference.jerk = curve.next();
+                self.jerk = curve.next();
             }
         }
-        reference.speed = self.target + self.rest;
-        reference
+        self.reference = Reference {
+            speed: self.target + self.rest,
+            acceleration: self.acceleration.coarser(self.fine),
+            jerk: self.jerk.coarser(self.fine),
+        };
+        &self.reference
     }
 
     /// The reference at the last sample.
@@ -175,6 +205,8 @@ struct SCurve<S> {
     acceleration: f32,
     jerk: f32,
     period: f32,
+    /// Of speed, acceleration and jerk.
+    bases: [Base; 3],
     planned: bool,
     stretches: [Stretch<S>; 3],
 }
@@ -188,14 +220,15 @@ struct Stretch<S> {
 impl<S: Scalar> SCurve<S> {
     const NONE: [Stretch<S>; 3] = [Stretch { periods: 0, jerk: S::ZERO }; 3];
 
-    fn new(acceleration: f32, jerk: f32, period: f32) -> Self {
-        Self { acceleration, jerk, period, planned: true, stretches: Self::NONE }
+    fn new(acceleration: f32, jerk: f32, period: f32, bases: [Base; 3]) -> Self {
+        Self { acceleration, jerk, period, bases, planned: true, stretches: Self::NONE }
     }
 
     /// Whether the way has been gone; plans one from here after a new command.
     fn is_over(&mut self, rest: S, acceleration: S) -> bool {
         if !self.planned {
-            self.stretches = self.plan(-rest.to_f32(), acceleration.to_f32());
+            self.stretches =
+                self.plan(-rest.to_f32(self.bases[0]), acceleration.to_f32(self.bases[1]));
             self.planned = true;
         }
         self.stretches[2].periods == 0
@@ -229,8 +262,10 @@ impl<S: Scalar> SCurve<S> {
         // The acceleration that makes up for whole periods.
         let peak = (way - 0.5 * start * rising * period)
             / ((0.5 * rising + cruising + 0.5 * falling) * period);
-        let stretch =
-            |periods: f32, jerk: f32| Stretch { periods: periods as u32, jerk: S::from_f32(jerk) };
+        let stretch = |periods: f32, jerk: f32| Stretch {
+            periods: periods as u32,
+            jerk: S::from_f32(jerk, self.bases[2]),
+        };
         [
             stretch(rising, sign * (peak - start) / (rising * period)),
             stretch(cruising, 0.0),
@@ -246,7 +281,7 @@ mod tests {
     const RATE: f32 = 20_000.0;
 
     fn shaped(shape: Shape, samples: usize) -> impl Iterator<Item = Reference<f32>> {
-        let mut shaper = Shaper::new(shape, RATE).expect("valid");
+        let mut shaper = Shaper::new(shape, RATE, &Bases::NONE).expect("valid");
         shaper.set_target(100.0);
         (0..samples).map(move |_| *shaper.advance())
     }
@@ -298,7 +333,8 @@ mod tests {
     #[test]
     fn bandwidth_is_checked() {
         for bandwidth in [0.0, -1.0, f32::NAN, f32::INFINITY, 10_001.0] {
-            let error = Shaper::<f32>::new(Shape::SecondOrder { bandwidth }, RATE).err();
+            let error =
+                Shaper::<f32>::new(Shape::SecondOrder { bandwidth }, RATE, &Bases::NONE).err();
             assert_eq!(error.expect("refused").field, "reference.bandwidth");
         }
     }
@@ -324,7 +360,7 @@ mod tests {
 
     #[test]
     fn an_s_curve_goes_anywhere_from_anywhere_without_a_jump() {
-        let mut shaper = Shaper::<f32>::new(S_CURVE, RATE).expect("valid");
+        let mut shaper = Shaper::<f32>::new(S_CURVE, RATE, &Bases::NONE).expect("valid");
         let mut before = *shaper.reference();
         for (target, samples) in
             [(100.0, 300), (20.0, 250), (20.1, 700), (-150.0, 1500), (-149.999, 60), (0.0, 3000)]
@@ -356,7 +392,7 @@ mod tests {
             (1e3, 2.1e7, "reference.jerk"),
         ] {
             let shape = Shape::SCurve { acceleration, jerk };
-            let error = Shaper::<f32>::new(shape, RATE).expect_err("refused");
+            let error = Shaper::<f32>::new(shape, RATE, &Bases::NONE).expect_err("refused");
             assert_eq!(error.field, field);
         }
     }

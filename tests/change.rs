@@ -60,7 +60,7 @@ fn controllers_take_over_without_a_bump() {
     ];
     let first = scenario(all[0]);
     let mut drive = Drive::<f32>::new(&first.drive_config()).expect("valid");
-    let mut board = SimulatedBoard::<f32>::new(&first);
+    let mut board = SimulatedBoard::<f32>::new(&first, *drive.bases());
     drive.arm().expect("no fault");
     drive.set_speed(100.0).expect("in range");
     play(&mut drive, &mut board, 20_000, steady);
@@ -84,7 +84,7 @@ fn controllers_take_over_without_a_bump() {
 fn a_change_while_off_waits_for_the_drive_to_be_armed() {
     let first = scenario(Controller::Pi);
     let mut drive = Drive::<f32>::new(&first.drive_config()).expect("valid");
-    let mut board = SimulatedBoard::<f32>::new(&first);
+    let mut board = SimulatedBoard::<f32>::new(&first, *drive.bases());
     let next = scenario(Controller::DriveQsmdo);
     drive.change_controller(ReadyController::new(&next.drive_config()).expect("valid"));
     assert_eq!(drive.step(&board.sample()), BridgeCommand::Off);
@@ -96,7 +96,7 @@ fn a_change_while_off_waits_for_the_drive_to_be_armed() {
 fn running(controller: Controller) -> (Drive<f32>, SimulatedBoard<f32>) {
     let first = scenario(controller);
     let mut drive = Drive::<f32>::new(&first.drive_config()).expect("valid");
-    let mut board = SimulatedBoard::<f32>::new(&first);
+    let mut board = SimulatedBoard::<f32>::new(&first, *drive.bases());
     drive.arm().expect("no fault");
     drive.set_speed(100.0).expect("in range");
     play(&mut drive, &mut board, 10_000, (0.0, 0.0));

@@ -9,6 +9,8 @@ use crate::profile::{Load, Step, Waves, value_at};
 use crate::scenario::{Bridge, Scenario};
 use crate::sensors::Sensors;
 use quasidrive::hal::{Board, BridgeCommand, Exact, READS, Sample};
+use quasidrive::math::Base;
+use quasidrive::per_unit::Bases;
 use std::marker::PhantomData;
 
 /// A simulated motor board that speaks to a drive in the scalar `S`.
@@ -38,12 +40,13 @@ pub struct SimulatedBoard<S> {
     bus_now: f64,
     /// What the bridge does until a delayed command takes effect.
     acting: BridgeCommand<f64>,
+    bases: Bases,
     scalar: PhantomData<S>,
 }
 
 impl<S: SimulatedScalar> SimulatedBoard<S> {
-    /// The board of a scenario, at its start, with open switches.
-    pub fn new(scenario: &Scenario) -> Self {
+    /// The board of a scenario, at its start, with open switches, for a drive with these bases.
+    pub fn new(scenario: &Scenario, bases: Bases) -> Self {
         let rate = scenario.timing.rate;
         let plant = Plant::new(scenario.motor);
         let substeps = plant.steps_for(1.0 / rate);
@@ -67,6 +70,7 @@ impl<S: SimulatedScalar> SimulatedBoard<S> {
             time: 0.0,
             bus_now,
             acting: BridgeCommand::Off,
+            bases,
             scalar: PhantomData,
         }
     }
@@ -147,10 +151,10 @@ impl<S: SimulatedScalar> Board<S> for SimulatedBoard<S> {
         match &mut self.sensors {
             Some(sensors) => Sample::Codes(sensors.sample(current, self.bus_now)),
             None => Sample::Exact(Exact {
-                speed: S::from_f64(self.state.speed),
-                advance: S::from_f64(self.advance),
-                current: S::from_f64(current),
-                bus_voltage: S::from_f64(self.bus_now),
+                speed: S::from_f64(self.state.speed, self.bases.speed),
+                advance: S::from_f64(self.advance, self.bases.angle),
+                current: S::from_f64(current, self.bases.current),
+                bus_voltage: S::from_f64(self.bus_now, self.bases.voltage),
             }),
         }
     }
@@ -158,7 +162,7 @@ impl<S: SimulatedScalar> Board<S> for SimulatedBoard<S> {
     fn apply(&mut self, command: BridgeCommand<S>) {
         let commanded = match command {
             BridgeCommand::Off => BridgeCommand::Off,
-            BridgeCommand::Duty(duty) => BridgeCommand::Duty(duty.to_f64()),
+            BridgeCommand::Duty(duty) => BridgeCommand::Duty(duty.to_f64(Base::RATIO)),
         };
         let before = std::mem::replace(&mut self.acting, commanded);
         // A duty waits for the timer's next update where there is a delay; switching off never waits.
@@ -178,7 +182,8 @@ mod tests {
         let mut scenario = Scenario::paper();
         scenario.load = Load::default();
         edit(&mut scenario);
-        SimulatedBoard::new(&scenario)
+        let bases = Bases::new(&scenario.drive_config()).expect("valid");
+        SimulatedBoard::new(&scenario, bases)
     }
 
     /// Change of the current over a period that starts with none, at standstill (A).

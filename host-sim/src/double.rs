@@ -4,8 +4,10 @@
 //! is looked for: in near-continuous runs and against theoretical bounds. Its gains are still the core's, rounded to f32
 //! when the drive is built.
 
-use quasidrive::math::Scalar;
-use std::ops::{Add, Div, Mul, Neg, Sub};
+use quasidrive::config::ConfigError;
+use quasidrive::math::table::{Curve, Graded, SEGMENTS};
+use quasidrive::math::{Base, Q31, Scalar};
+use std::ops::{Add, Neg, Sub};
 
 /// A double-precision number.
 #[derive(Clone, Copy, Debug, Default, PartialEq, PartialOrd)]
@@ -25,20 +27,6 @@ impl Sub for Double {
     }
 }
 
-impl Mul for Double {
-    type Output = Self;
-    fn mul(self, other: Self) -> Self {
-        Self(self.0 * other.0)
-    }
-}
-
-impl Div for Double {
-    type Output = Self;
-    fn div(self, other: Self) -> Self {
-        Self(self.0 / other.0)
-    }
-}
-
 impl Neg for Double {
     type Output = Self;
     fn neg(self) -> Self {
@@ -46,18 +34,27 @@ impl Neg for Double {
     }
 }
 
+/// A graded table, with its quadratics in the position itself.
+#[derive(Clone, Debug)]
+pub struct Table(Graded);
+
 impl Scalar for Double {
-    type Gain = f64;
+    type Gains<const N: usize> = [f64; N];
+    type Steep<const N: usize> = [f64; N];
+    type Table = Table;
 
     const ZERO: Self = Self(0.0);
-    const ONE: Self = Self(1.0);
 
-    fn from_f32(value: f32) -> Self {
-        Self(f64::from(value))
+    fn from_f32(value: f32, _base: Base) -> Self {
+        Self(value.into())
     }
 
-    fn to_f32(self) -> f32 {
+    fn to_f32(self, _base: Base) -> f32 {
         self.0 as f32
+    }
+
+    fn constant(_field: &'static str, value: f32, _base: Base) -> Result<Self, ConfigError> {
+        Ok(Self(value.into()))
     }
 
     fn from_code(code: u16) -> Self {
@@ -68,22 +65,64 @@ impl Scalar for Double {
         Self(difference.into())
     }
 
-    fn gain(value: f32) -> f64 {
-        f64::from(value)
+    fn gains<const N: usize>(
+        _field: &'static str,
+        gains: [(f32, Base); N],
+        _to: Base,
+    ) -> Result<[f64; N], ConfigError> {
+        Ok(gains.map(|(gain, _)| gain.into()))
     }
 
-    fn combine<const N: usize>(terms: [(f64, Self); N]) -> Self {
-        Self(terms.iter().map(|(gain, signal)| gain * signal.0).sum())
+    fn combine<const N: usize>(gains: &[f64; N], signals: [Self; N]) -> Self {
+        Self(gains.iter().zip(signals).map(|(gain, signal)| gain * signal.0).sum())
     }
 
-    const SEGMENT: f32 = f32::SEGMENT;
-
-    fn segment(self) -> usize {
-        (self.0 as u32 >> 27) as usize
+    fn steep<const N: usize>(
+        field: &'static str,
+        gains: [(f32, Base); N],
+        to: Base,
+    ) -> Result<[f64; N], ConfigError> {
+        Self::gains(field, gains, to)
     }
 
-    fn counted(position: Self, step: Self) -> Self {
-        Self((0..16).map(|j| (position.0 - f64::from(j) * step.0).floor()).sum())
+    fn amplify<const N: usize>(gains: &[f64; N], signals: [Self; N]) -> Self {
+        Self::combine(gains, signals)
+    }
+
+    fn table(_field: &'static str, curve: &Curve, _base: Base) -> Result<Table, ConfigError> {
+        Ok(Table(Graded::new(curve)))
+    }
+
+    fn look_up(Table(graded): &Table, signal: Self) -> Self {
+        let Graded { origin, per_unit, segments } = graded;
+        let position = f64::from(*per_unit) * signal.0.abs() + f64::from(*origin);
+        // `as` takes what is below 0 to the first segment.
+        let [c0, c1, c2] = segments[(position as usize).min(SEGMENTS - 1)].map(f64::from);
+        Self((c0 + position * (c1 + position * c2)).copysign(signal.0))
+    }
+
+    fn mean_count(position: Self, step: Self) -> Self {
+        Self((0..16).map(|j| (position.0 - f64::from(j) * step.0).floor()).sum::<f64>() / 16.0)
+    }
+
+    fn part(self, share: u8) -> Self {
+        Self(self.0 * f64::from(share) / 256.0)
+    }
+
+    fn fraction(self, numerator: i16, denominator: i16) -> Self {
+        Self(self.0 * f64::from(numerator) / f64::from(denominator))
+    }
+
+    fn ratio(self, whole: Self, limit: Self) -> Self {
+        Self(self.0 / whole.0).limited(limit)
+    }
+
+    fn of(self, whole: Self) -> Self {
+        Self(self.0 * whole.0)
+    }
+
+    fn coarser(self, _by: u32) -> Self {
+        self
     }
 
     fn is_finite(self) -> bool {
@@ -94,39 +133,48 @@ impl Scalar for Double {
         Self(self.0.abs())
     }
 
-    fn with_sign_of(self, other: Self) -> Self {
-        Self(self.0.copysign(other.0))
-    }
-
     fn limited(self, bound: Self) -> Self {
-        Self(self.0.abs().min(bound.0)).with_sign_of(self)
+        Self(self.0.abs().min(bound.0).copysign(self.0))
     }
 }
 
 /// A scalar that the simulator can fill from, and read into, its own double precision.
 pub trait SimulatedScalar: Scalar {
     /// The scalar nearest to a value in SI units.
-    fn from_f64(value: f64) -> Self;
+    fn from_f64(value: f64, base: Base) -> Self;
     /// The value in SI units.
-    fn to_f64(self) -> f64;
+    fn to_f64(self, base: Base) -> f64;
 }
 
 impl SimulatedScalar for f32 {
-    fn from_f64(value: f64) -> Self {
+    fn from_f64(value: f64, _base: Base) -> Self {
         value as f32
     }
 
-    fn to_f64(self) -> f64 {
+    fn to_f64(self, _base: Base) -> f64 {
         f64::from(self)
     }
 }
 
 impl SimulatedScalar for Double {
-    fn from_f64(value: f64) -> Self {
+    fn from_f64(value: f64, _base: Base) -> Self {
         Self(value)
     }
 
-    fn to_f64(self) -> f64 {
+    fn to_f64(self, _base: Base) -> f64 {
         self.0
     }
 }
+
+impl SimulatedScalar for Q31 {
+    fn from_f64(value: f64, base: Base) -> Self {
+        Self((value / f64::from(base.0) * SCALE).round() as i32)
+    }
+
+    fn to_f64(self, base: Base) -> f64 {
+        f64::from(self.0) / SCALE * f64::from(base.0)
+    }
+}
+
+/// Full scale of fixed point.
+const SCALE: f64 = (1_u64 << 31) as f64;

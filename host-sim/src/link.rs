@@ -5,7 +5,7 @@ use crate::qemu::{Qemu, QemuError};
 use quasidrive::config::ConfigError;
 use quasidrive::drive::{Drive, DriveConfig, Mode, Refusal, Telemetry};
 use quasidrive::hal::{BridgeCommand, Sample};
-use quasidrive::protocol::Record;
+use quasidrive::protocol::{RECORD_NAMES, RECORD_WORDS, Record, Word};
 
 /// What a drive did in a period.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -20,8 +20,8 @@ pub struct Period<S> {
 
 /// A drive that is armed or arms itself, wherever it runs.
 pub trait Link<S> {
-    /// One period: the commanded speed and the sample go in.
-    fn exchange(&mut self, target: S, sample: &Sample<S>) -> Result<Period<S>, LinkError>;
+    /// One period: the commanded speed (rad/s) and the sample go in.
+    fn exchange(&mut self, target: f32, sample: &Sample<S>) -> Result<Period<S>, LinkError>;
 }
 
 /// Why a link gave no answer.
@@ -44,7 +44,7 @@ pub enum LinkError {
 /// The drive in this process.
 pub struct Local<S: SimulatedScalar> {
     drive: Drive<S>,
-    commanded: Option<S>,
+    commanded: Option<f32>,
     /// Periods until the drive is armed; none once it is.
     armed_in: Option<u64>,
 }
@@ -76,7 +76,7 @@ impl<S: SimulatedScalar> Local<S> {
 
 impl<S: SimulatedScalar> Link<S> for Local<S> {
     #[inline]
-    fn exchange(&mut self, target: S, sample: &Sample<S>) -> Result<Period<S>, LinkError> {
+    fn exchange(&mut self, target: f32, sample: &Sample<S>) -> Result<Period<S>, LinkError> {
         if self.commanded.replace(target) != Some(target) {
             self.drive.set_speed(target).map_err(LinkError::Refused)?;
         }
@@ -87,22 +87,22 @@ impl<S: SimulatedScalar> Link<S> for Local<S> {
 }
 
 /// The drive here and in QEMU, held to the same bits in every period.
-pub struct LockStep<'a> {
-    host: Local<f32>,
+pub struct LockStep<'a, S: SimulatedScalar + Word> {
+    host: Local<S>,
     target: Qemu<'a>,
     commanded: Option<f32>,
     period: u64,
 }
 
-impl<'a> LockStep<'a> {
+impl<'a, S: SimulatedScalar + Word> LockStep<'a, S> {
     /// Both must have been built from the same configuration.
-    pub fn new(host: Local<f32>, target: Qemu<'a>) -> Self {
+    pub fn new(host: Local<S>, target: Qemu<'a>) -> Self {
         Self { host, target, commanded: None, period: 0 }
     }
 }
 
-impl Link<f32> for LockStep<'_> {
-    fn exchange(&mut self, target: f32, sample: &Sample<f32>) -> Result<Period<f32>, LinkError> {
+impl<S: SimulatedScalar + Word> Link<S> for LockStep<'_, S> {
+    fn exchange(&mut self, target: f32, sample: &Sample<S>) -> Result<Period<S>, LinkError> {
         let new = self.commanded.replace(target) != Some(target);
         let reply = self.target.period(new.then_some(target), sample)?;
         let period = self.host.exchange(target, sample)?;
@@ -121,11 +121,7 @@ impl Link<f32> for LockStep<'_> {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Difference {
     /// A signal.
-    #[error(
-        "period {period}: {signal} differs: host {host:#010x} ({}), target {target:#010x} ({})",
-        f32::from_bits(*host),
-        f32::from_bits(*target)
-    )]
+    #[error("period {period}: {signal} differs: host {host:#010x}, target {target:#010x}")]
     Signal {
         /// Periods before.
         period: u64,
@@ -142,8 +138,8 @@ pub enum Difference {
 }
 
 impl Difference {
-    fn find(period: u64, host: [u32; Record::WORDS], target: [u32; Record::WORDS]) -> Self {
-        let mut pairs = host.into_iter().zip(target).zip(Record::NAMES);
+    fn find(period: u64, host: [u32; RECORD_WORDS], target: [u32; RECORD_WORDS]) -> Self {
+        let mut pairs = host.into_iter().zip(target).zip(RECORD_NAMES);
         match pairs.find(|((host, target), _)| host != target) {
             Some(((host, target), signal)) => Self::Signal { period, signal, host, target },
             None => Self::Reply(period),
@@ -188,14 +184,14 @@ mod tests {
     #[test]
     fn the_first_differing_signal_is_told_with_its_bits() {
         let words =
-            Record { command: BridgeCommand::Duty(0.5), mode: Mode::Running, telemetry: None }
+            Record { command: BridgeCommand::Duty(0.5_f32), mode: Mode::Running, telemetry: None }
                 .to_words();
         let mut other = words;
         other[1] += 1;
         other[5] = 7;
         assert_eq!(
             Difference::find(3, words, other).to_string(),
-            "period 3: duty differs: host 0x3f000000 (0.5), target 0x3f000001 (0.50000006)"
+            "period 3: duty differs: host 0x3f000000, target 0x3f000001"
         );
         assert_eq!(Difference::find(3, words, words), Difference::Reply(3));
     }

@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result, bail};
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use host_sim::double::Double;
+use host_sim::double::{Double, SimulatedScalar};
 use host_sim::frame::Frame;
 use host_sim::link::{LinkError, Local, LockStep};
 use host_sim::metrics::Metrics;
@@ -13,6 +13,8 @@ use host_sim::simulation::{Outcome, simulate, simulate_on};
 use host_sim::{report, reproduction, scoreboard, terminal};
 use indicatif::{ProgressBar, ProgressStyle};
 use quasidrive::drive::Fault;
+use quasidrive::math::Q31;
+use quasidrive::protocol::Word;
 use serde::Serialize;
 use std::io::{ErrorKind, Write, stdout};
 use std::path::{Path, PathBuf};
@@ -101,15 +103,16 @@ struct Overrides {
     /// How the estimators are stepped.
     #[arg(long)]
     form: Option<FormName>,
-    /// What the drive computes in: f32 as on the target, or f64 to see it without rounding.
-    #[arg(long, default_value = "f32")]
-    scalar: ScalarName,
+    /// What the drive computes in: f32 as on a target with an FPU, q31 as on one without, or f64 to see it without
+    /// rounding. Default: f32 here, in QEMU what the machine's firmware computes in.
+    #[arg(long)]
+    scalar: Option<ScalarName>,
     /// Where the drive runs: here, or as firmware in QEMU, which is held against a drive here, bit for bit.
     #[arg(long, value_name = "WHERE", default_value = "host")]
     controller_on: Place,
-    /// Firmware for QEMU, built by `cargo xtask firmware`.
-    #[arg(long, value_name = "ELF", default_value = "target/firmware/qemu.elf")]
-    image: PathBuf,
+    /// Firmware for QEMU, built by `cargo xtask firmware`. Default: that for the machine.
+    #[arg(long, value_name = "ELF")]
+    image: Option<PathBuf>,
     /// QEMU.
     #[arg(long, value_name = "PROGRAM", default_value = "qemu-system-arm")]
     qemu: PathBuf,
@@ -122,6 +125,15 @@ struct Overrides {
     /// QEMU's machine.
     #[arg(long, default_value = "mps2-an386")]
     machine: Machine,
+}
+
+impl Overrides {
+    fn scalar(&self) -> ScalarName {
+        self.scalar.unwrap_or(match self.controller_on {
+            Place::Host => ScalarName::F32,
+            Place::Qemu => self.machine.scalar(),
+        })
+    }
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, Serialize, ValueEnum)]
@@ -139,6 +151,11 @@ enum Machine {
     /// Cortex-M7.
     #[value(name = "mps2-an500")]
     Mps2An500,
+    /// Cortex-M3, in fixed point.
+    #[value(name = "mps2-an385")]
+    Mps2An385,
+    /// Cortex-M0, in fixed point.
+    Microbit,
 }
 
 impl Machine {
@@ -146,14 +163,34 @@ impl Machine {
         match self {
             Self::Mps2An386 => "mps2-an386",
             Self::Mps2An500 => "mps2-an500",
+            Self::Mps2An385 => "mps2-an385",
+            Self::Microbit => "microbit",
+        }
+    }
+
+    /// Where `cargo xtask firmware` puts its image.
+    fn image(self) -> &'static Path {
+        Path::new(match self {
+            Self::Mps2An386 | Self::Mps2An500 => "target/firmware/qemu.elf",
+            Self::Mps2An385 => "target/firmware/qemu-m3.elf",
+            Self::Microbit => "target/firmware/qemu-m0.elf",
+        })
+    }
+
+    /// What that computes in.
+    fn scalar(self) -> ScalarName {
+        match self {
+            Self::Mps2An386 | Self::Mps2An500 => ScalarName::F32,
+            Self::Mps2An385 | Self::Microbit => ScalarName::Q31,
         }
     }
 }
 
-#[derive(Clone, Copy, Serialize, ValueEnum)]
+#[derive(Clone, Copy, PartialEq, Eq, Serialize, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 enum ScalarName {
     F32,
+    Q31,
     F64,
 }
 
@@ -186,7 +223,7 @@ impl RunReport {
             title: scenario.title.clone(),
             controller: scenario.control.controller,
             form: scenario.control.form,
-            scalar: overrides.scalar,
+            scalar: overrides.scalar(),
             controller_on: overrides.controller_on,
             rate: scenario.timing.rate,
             delay: scenario.timing.delay,
@@ -317,30 +354,18 @@ fn play(file: &Path, overrides: &Overrides, csv: Option<&Path>) -> Result<RunRep
             written = rows.serialize(frame);
         }
     };
-    let outcome = match (overrides.controller_on, overrides.scalar) {
+    let outcome = match (overrides.controller_on, overrides.scalar()) {
         (Place::Qemu, _) if scenario.idle_periods() > 0 => {
             bail!(
                 "the firmware in QEMU is armed from the first period on: initial.armed_after must be 0"
             )
         }
         (Place::Host, ScalarName::F32) => simulate::<f32>(&scenario, each)?,
+        (Place::Host, ScalarName::Q31) => simulate::<Q31>(&scenario, each)?,
         (Place::Host, ScalarName::F64) => simulate::<Double>(&scenario, each)?,
-        (Place::Qemu, ScalarName::F32) => {
-            let config = scenario.drive_config();
-            let host = Local::new(&config)?;
-            let emulator = Emulator {
-                program: &overrides.qemu,
-                arguments: &overrides.qemu_argument,
-                log: overrides.log.as_deref(),
-                machine: overrides.machine.name(),
-                image: &overrides.image,
-                patience: PATIENCE,
-                interrupted: interruption()?,
-            };
-            let target = Qemu::start(&emulator, &config).map_err(LinkError::from)?;
-            simulate_on(&mut LockStep::new(host, target), &scenario, each)?
-        }
-        (Place::Qemu, ScalarName::F64) => bail!("the firmware in QEMU computes in f32 only"),
+        (Place::Qemu, ScalarName::F32) => in_lock_step::<f32>(&scenario, overrides, each)?,
+        (Place::Qemu, ScalarName::Q31) => in_lock_step::<Q31>(&scenario, overrides, each)?,
+        (Place::Qemu, ScalarName::F64) => bail!("no firmware in QEMU computes in f64"),
     };
     bar.finish_and_clear();
     if overrides.controller_on == Place::Qemu {
@@ -355,6 +380,27 @@ fn play(file: &Path, overrides: &Overrides, csv: Option<&Path>) -> Result<RunRep
         rows.flush().context("cannot write the CSV file")?;
     }
     Ok(RunReport::new(file, &scenario, overrides, outcome))
+}
+
+/// Plays a scenario with a drive here and one in QEMU, held to the same bits.
+fn in_lock_step<S: SimulatedScalar + Word>(
+    scenario: &Scenario,
+    overrides: &Overrides,
+    each: impl FnMut(&Frame),
+) -> anyhow::Result<Outcome> {
+    let config = scenario.drive_config();
+    let host = Local::<S>::new(&config)?;
+    let emulator = Emulator {
+        program: &overrides.qemu,
+        arguments: &overrides.qemu_argument,
+        log: overrides.log.as_deref(),
+        machine: overrides.machine.name(),
+        image: overrides.image.as_deref().unwrap_or(overrides.machine.image()),
+        patience: PATIENCE,
+        interrupted: interruption()?,
+    };
+    let target = Qemu::start::<S>(&emulator, &config).map_err(LinkError::from)?;
+    Ok(simulate_on(&mut LockStep::new(host, target), scenario, each)?)
 }
 
 /// Becomes true when the process is asked to end, so that it can take QEMU with it.

@@ -6,7 +6,8 @@
 use quasidrive::drive::DriveConfig;
 use quasidrive::hal::Sample;
 use quasidrive::protocol::{
-    MAGIC, Question, Record, Reply, Setup, VERSION, Verdict, codes_to_words, exact_to_words,
+    MAGIC, Question, RECORD_WORDS, Reply, Setup, VERSION, Verdict, Word, codes_to_words,
+    exact_to_words,
 };
 use std::fs::File;
 use std::io::{ErrorKind, Read, Write};
@@ -70,6 +71,16 @@ pub enum QemuError {
         "QEMU's firmware speaks protocol {0}, this host {VERSION}: rebuild it by `cargo xtask firmware`"
     )]
     WrongVersion(u32),
+    /// The firmware computes in another scalar.
+    #[error(
+        "QEMU's firmware computes in {there}, this host in {here}: not the image for this machine"
+    )]
+    WrongScalar {
+        /// The firmware's.
+        there: String,
+        /// The host's.
+        here: String,
+    },
     /// The firmware refused the configuration.
     #[error("QEMU's firmware refused the drive's configuration")]
     SetupRefused,
@@ -82,7 +93,7 @@ pub struct Emulator<'a> {
     pub program: &'a Path,
     /// Arguments beyond those that it takes to play a drive.
     pub arguments: &'a [String],
-    /// `mps2-an386` or `mps2-an500`.
+    /// Its machine.
     pub machine: &'a str,
     /// The firmware's ELF.
     pub image: &'a Path,
@@ -118,8 +129,11 @@ impl Drop for Process {
 }
 
 impl<'a> Qemu<'a> {
-    /// Starts QEMU and makes it the drive of `config`.
-    pub fn start(emulator: &Emulator<'a>, config: &DriveConfig) -> Result<Self, QemuError> {
+    /// Starts QEMU and makes it the drive of `config`, which computes in `S`.
+    pub fn start<S: Word>(
+        emulator: &Emulator<'a>,
+        config: &DriveConfig,
+    ) -> Result<Self, QemuError> {
         let &Emulator { program, machine, image, .. } = emulator;
         if !image.is_file() {
             return Err(QemuError::NoImage(image.to_owned()));
@@ -150,11 +164,11 @@ impl<'a> Qemu<'a> {
             .map_err(QemuError::NoQemu)?;
         let mut process = Process { child, folder };
         let stream = accept(&listener, &mut process, emulator)?;
-        Self::on(stream, process, emulator, config)
+        Self::on::<S>(stream, process, emulator, config)
     }
 
     /// Makes whoever is at the other end of `stream` the drive of `config`.
-    fn on(
+    fn on<S: Word>(
         stream: UnixStream,
         process: Process,
         &Emulator { patience, interrupted, .. }: &Emulator<'a>,
@@ -162,20 +176,25 @@ impl<'a> Qemu<'a> {
     ) -> Result<Self, QemuError> {
         stream.set_nonblocking(true).map_err(QemuError::NoQemu)?;
         let mut qemu = Self { process, stream, patience, interrupted };
-        qemu.set_up(config)?;
+        qemu.set_up::<S>(config)?;
         Ok(qemu)
     }
 
-    fn set_up(&mut self, config: &DriveConfig) -> Result<(), QemuError> {
+    fn set_up<S: Word>(&mut self, config: &DriveConfig) -> Result<(), QemuError> {
         self.send(&[MAGIC, VERSION], SETTING_UP)?;
         let setup = Setup(*config).to_words().ok_or(QemuError::SetupRefused)?;
         self.send(&setup, SETTING_UP)?;
-        let [magic, version, verdict] = self.receive(SETTING_UP)?;
+        let [magic, version, verdict, scalar] = self.receive(SETTING_UP)?;
         if magic != MAGIC {
             return Err(QemuError::NotADrive(magic));
         }
         if version != VERSION {
             return Err(QemuError::WrongVersion(version));
+        }
+        if scalar != S::NAME {
+            let [there, here] = [scalar, S::NAME]
+                .map(|name| String::from_utf8_lossy(&name.to_le_bytes()).trim().to_owned());
+            return Err(QemuError::WrongScalar { there, here });
         }
         match Verdict::from_word(verdict) {
             Some(Verdict::Accepted) => Ok(()),
@@ -186,10 +205,10 @@ impl<'a> Qemu<'a> {
     }
 
     /// One period, with a new commanded speed (rad/s) if there is one.
-    pub fn period(
+    pub fn period<S: Word>(
         &mut self,
         target: Option<f32>,
-        sample: &Sample<f32>,
+        sample: &Sample<S>,
     ) -> Result<Reply, QemuError> {
         let question = match target {
             Some(_) => Question::TargetAndSample,
@@ -204,8 +223,8 @@ impl<'a> Qemu<'a> {
         Ok(Reply::from_words(self.receive(RUNNING)?))
     }
 
-    /// The words of the last period's [`Record`].
-    pub fn record(&mut self) -> Result<[u32; Record::WORDS], QemuError> {
+    /// The words of the last period's [`Record`](quasidrive::protocol::Record).
+    pub fn record(&mut self) -> Result<[u32; RECORD_WORDS], QemuError> {
         self.ask(Question::Record, &[], RUNNING)?;
         self.receive(RUNNING)
     }
@@ -337,6 +356,8 @@ pub(crate) mod tests {
     use crate::scenario::Scenario;
     use quasidrive::drive::Mode;
     use quasidrive::hal::BridgeCommand;
+    use quasidrive::math::Q31;
+    use quasidrive::protocol::Record;
 
     const SAMPLE: Sample<f32> = Sample::Exact(quasidrive::hal::Exact {
         speed: 1.0,
@@ -384,11 +405,11 @@ pub(crate) mod tests {
             }
         });
         let config = Scenario::paper().drive_config();
-        Qemu::on(here, sleeper(), &emulator("none", Path::new("none"), &NEVER), &config)
+        Qemu::on::<f32>(here, sleeper(), &emulator("none", Path::new("none"), &NEVER), &config)
     }
 
     pub(crate) fn accepted() -> Vec<u32> {
-        vec![MAGIC, VERSION, Verdict::Accepted as u32]
+        vec![MAGIC, VERSION, Verdict::Accepted as u32, f32::NAME]
     }
 
     #[test]
@@ -406,10 +427,16 @@ pub(crate) mod tests {
     fn set_up_errors_are_told_apart() {
         let error = |words: Vec<u32>| against(vec![words], true).err().expect("refused");
         let other = VERSION + 1;
-        assert!(matches!(error(vec![7, VERSION, 0]), QemuError::NotADrive(7)));
-        assert!(matches!(error(vec![MAGIC, other, 1]), QemuError::WrongVersion(v) if v == other));
-        assert!(matches!(error(vec![MAGIC, VERSION, 2]), QemuError::SetupRefused));
-        assert!(matches!(error(vec![MAGIC, VERSION, 9]), QemuError::NotADrive(9)));
+        let answer = |magic, version, verdict| vec![magic, version, verdict, f32::NAME];
+        assert!(matches!(error(answer(7, VERSION, 0)), QemuError::NotADrive(7)));
+        let refused = error(answer(MAGIC, other, 1));
+        assert!(matches!(refused, QemuError::WrongVersion(version) if version == other));
+        assert!(matches!(error(answer(MAGIC, VERSION, 2)), QemuError::SetupRefused));
+        assert!(matches!(error(answer(MAGIC, VERSION, 9)), QemuError::NotADrive(9)));
+        assert_eq!(
+            error(vec![MAGIC, VERSION, 0, Q31::NAME]).to_string(),
+            "QEMU's firmware computes in q31, this host in f32: not the image for this machine"
+        );
         assert!(matches!(error(vec![MAGIC]), QemuError::Late { .. }), "a short read");
     }
 
@@ -429,7 +456,9 @@ pub(crate) mod tests {
         let image = Path::new(env!("CARGO_MANIFEST_DIR")).join("Cargo.toml");
         let start = |program: &str, image: &Path| {
             let emulator = emulator(program, image, &NEVER);
-            Qemu::start(&emulator, &Scenario::paper().drive_config()).err().expect("no drive")
+            Qemu::start::<f32>(&emulator, &Scenario::paper().drive_config())
+                .err()
+                .expect("no drive")
         };
         assert!(matches!(start("no-such-qemu", &image), QemuError::NoQemu(_)));
         assert!(matches!(start("false", &image), QemuError::Ended { .. }));
@@ -446,7 +475,8 @@ pub(crate) mod tests {
             ..emulator("sleep", &image, &interrupted)
         };
         // `sleep` does not know QEMU's options and ends; a program that stayed would be interrupted.
-        let error = Qemu::start(&emulator, &Scenario::paper().drive_config()).err().expect("none");
+        let error =
+            Qemu::start::<f32>(&emulator, &Scenario::paper().drive_config()).err().expect("none");
         assert!(matches!(error, QemuError::Interrupted | QemuError::Ended { .. }), "{error}");
         let mut qemu = against(vec![accepted()], true).expect("set up");
         qemu.interrupted = &interrupted;

@@ -7,8 +7,10 @@ use crate::link::{Link, LinkError, Local};
 use crate::metrics::{Meter, Metrics};
 use crate::profile::value_at;
 use crate::scenario::Scenario;
-use quasidrive::drive::{Fault, Mode};
+use quasidrive::control::ControlConfig;
+use quasidrive::drive::{Fault, Mode, Telemetry};
 use quasidrive::hal::Board;
+use quasidrive::per_unit::Bases;
 
 /// How a run ended.
 #[derive(Clone, Debug)]
@@ -34,7 +36,14 @@ pub fn simulate_on<S: SimulatedScalar>(
     scenario: &Scenario,
     mut each: impl FnMut(&Frame),
 ) -> Result<Outcome, LinkError> {
-    let mut board = SimulatedBoard::<S>::new(scenario);
+    let config = scenario.drive_config();
+    let bases = Bases::new(&config)?;
+    // The second sliding variable is a z2, or a current.
+    let second = match config.control {
+        ControlConfig::Drive(_) => bases.current,
+        _ => bases.acceleration,
+    };
+    let mut board = SimulatedBoard::<S>::new(scenario, bases);
     let mut meter = Meter::default();
     let mut command = None;
     let mut last_jump = 0.0;
@@ -46,25 +55,27 @@ pub fn simulate_on<S: SimulatedScalar>(
         }
         let state = board.state();
         let load_torque = board.load_torque();
-        let period = drive.exchange(S::from_f64(wanted), &board.sample())?;
+        let period = drive.exchange(wanted as f32, &board.sample())?;
         board.apply(period.command);
         if let Mode::Faulted(fault) = period.mode {
             return Ok(Outcome { metrics: meter.metrics(), fault: Some((time, fault)) });
         }
         let Some(telemetry) = period.telemetry else { continue };
+        let Telemetry { reference, signals, voltage, load_torque: estimate, .. } = telemetry;
+        let reference = reference.speed.to_f64(bases.speed);
         let [sliding1, sliding2] = telemetry.sliding_variables;
         let frame = Frame {
             time,
-            reference: telemetry.reference.speed.to_f64(),
+            reference,
             speed: state.speed,
             current: state.current,
-            voltage: telemetry.voltage.to_f64(),
-            z1: state.speed - telemetry.reference.speed.to_f64(),
-            z2: telemetry.signals.z2.to_f64(),
-            sliding1: sliding1.to_f64(),
-            sliding2: sliding2.to_f64(),
+            voltage: voltage.to_f64(bases.voltage),
+            z1: state.speed - reference,
+            z2: signals.z2.to_f64(bases.acceleration),
+            sliding1: sliding1.to_f64(bases.speed),
+            sliding2: sliding2.to_f64(second),
             load_torque,
-            load_torque_estimate: telemetry.load_torque.to_f64(),
+            load_torque_estimate: estimate.to_f64(bases.torque),
         };
         meter.add(&frame, time - last_jump);
         each(&frame);

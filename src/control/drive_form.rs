@@ -17,7 +17,7 @@
 //! î⁺ = Ad·i + Bd·(u − Kb·ω̂ + v̂)      ω⁺ = ω̂ + h·(a2·(i + î⁺)/2 − a1·ω̂ + d̂)
 //! n  = (ω̇_d − d̂ + a1·ω⁺)/a2          i* = limited(n − (c/a2)·(ω⁺ − ω_d))            the virtual control, at t + h
 //! t  = i* + e^(−wi·h)·(î⁺ − i*) [− h·c·(î⁺ − n) + (h/a2)·ω̈_d where i* is not limited]  the current wanted at t + 2h
-//! w  = (t − Ad·î⁺)/Bd + Kb·ω⁺ − v̂    u⁺ = u + (1 − e^(−wf·h))·(w − u)
+//! w  = (t − î⁺)/Bd + Ra·î⁺ + Kb·ω⁺ − v̂    u⁺ = u + (1 − e^(−wf·h))·(w − u)
 //! ```
 //!
 //! with Ad = e^(−h·Ra/La), Bd = (1 − Ad)/Ra, and u the voltage that acts from the sample on. BS-QISMC remembers z1 in place of
@@ -27,8 +27,9 @@ use super::injection::Injection;
 use super::{Setting, Signals, Timing};
 use crate::config::{ConfigError, positive, require};
 use crate::estimate::AngleObserver;
-use crate::math::{Scalar, atanh, exp_m1, sqrt};
+use crate::math::{Base, Scalar, atanh, exp_m1, sqrt};
 use crate::motor::{Coefficients, MotorParameters};
+use crate::per_unit::Bases;
 use crate::sense::{Calibration, Measured, Rotation};
 use crate::trajectory::Reference;
 use serde::{Deserialize, Serialize};
@@ -149,29 +150,32 @@ pub(crate) struct DriveForm<S: Scalar> {
     /// The disturbance that is beyond authority (rad/s²).
     overload: S,
     /// How much of the reference's jumps enters σ1: nothing (BS-QSMDO) or all (BS-QISMC).
-    share: S::Gain,
-    half_a2: S::Gain,
-    minus_a1: S::Gain,
-    period: S::Gain,
-    half_period_squared: S::Gain,
+    share: S::Gains<1>,
+    /// a2/2·i − a1·ω.
+    modelled: S::Steep<2>,
+    /// What the speed gains in a period by the acceleration, by it and its rate, and what the acceleration gains.
+    period: S::Gains<1>,
+    periods: S::Gains<2>,
+    gained: S::Gains<1>,
     speed_limit: S,
-    k1: S::Gain,
+    k1: S::Gains<1>,
     current_limit: S,
-    reserve: S::Gain,
-    keep: S::Gain,
-    held: S::Gain,
-    back_emf: S::Gain,
-    per_a2: S::Gain,
-    a1_per_a2: S::Gain,
-    c_per_a2: S::Gain,
+    reserve: S::Steep<1>,
+    keep: S::Gains<1>,
+    held: S::Steep<1>,
+    back_emf: S::Steep<1>,
+    per_a2: S::Steep<1>,
+    a1_per_a2: S::Gains<1>,
+    c_per_a2: S::Steep<1>,
     command_limit: S,
-    decay: S::Gain,
-    c_period: S::Gain,
-    period_per_a2: S::Gain,
-    per_held: S::Gain,
-    keep_per_held: S::Gain,
-    output_share: S::Gain,
-    a2: S::Gain,
+    decay: S::Gains<1>,
+    c_period: S::Gains<1>,
+    period_per_a2: S::Steep<1>,
+    per_held: S::Steep<1>,
+    /// Ra·i + Kb·ω.
+    holding: S::Steep<2>,
+    output_share: S::Gains<1>,
+    a2: S::Steep<1>,
     disturbance_injection: Injection<S>,
     voltage_injection: Injection<S>,
     resumption: Resumption,
@@ -188,8 +192,7 @@ struct Resumption {
     reserve: f32,
     /// ε2 (A).
     reserve_layer: f32,
-    /// Ra (Ω).
-    resistance: f32,
+    bases: Bases,
 }
 
 /// The mismatch at which an injection counts as exhausted, in boundary layers: tanh is 0.995 there.
@@ -197,7 +200,7 @@ const EXHAUSTED: f32 = 3.0;
 
 impl<S: Scalar> DriveForm<S> {
     pub fn new(config: &DriveFormConfig, setting: &Setting) -> Result<Self, ConfigError> {
-        let &Setting { motor, timing, shaft, ranges } = setting;
+        let &Setting { motor, timing, shaft, ranges, bases } = setting;
         let age = shaft.age;
         let &Coefficients { a1, a2, a3, a4, inductance, inertia } = motor;
         let &DriveFormConfig {
@@ -233,7 +236,7 @@ impl<S: Scalar> DriveForm<S> {
         positive("control.voltage_reserve", voltage_reserve)?;
 
         let [g1, g2, g3] = observer_gains(wo, h);
-        let observer = AngleObserver::new([g1, g2], g3, shaft);
+        let observer = AngleObserver::new([g1, g2], g3, shaft, bases)?;
         let k1 = load_torque / inertia;
         // Where the injection is steepest it is the linear observer's: k1/ε1 = g3/g2, with the gains for the reads' age.
         let epsilon1 = k1 * (g2 + age * g3) / g3;
@@ -242,7 +245,7 @@ impl<S: Scalar> DriveForm<S> {
         let keep = 1.0 + exp_m1(-a4 * h);
         let held = -exp_m1(-a4 * h) / resistance;
         let epsilon2 = voltage_reserve * held / -exp_m1(-l2 * h);
-        let limit = |layer: f32| S::from_f32(EXHAUSTED * layer);
+        let &Bases { speed: w, acceleration: a, jerk: j, current: i, voltage: v, .. } = bases;
         let largest = a2 * ranges.current + a1 * ranges.speed + k1;
         require(
             largest <= 1e9,
@@ -250,6 +253,11 @@ impl<S: Scalar> DriveForm<S> {
             "must keep accelerations below 1e9 rad/s²",
             load_torque,
         )?;
+        let share = match memory {
+            Memory::Observer => 0.0,
+            Memory::Integral => 1.0,
+        };
+        let [torque, reserve] = ["control.load_torque", "control.voltage_reserve"];
         Ok(Self {
             last: Signals::NONE,
             observer,
@@ -262,41 +270,38 @@ impl<S: Scalar> DriveForm<S> {
             predicted_reference: S::ZERO,
             exhausted: 0,
             speed_before: S::ZERO,
-            overload: S::from_f32((0.99 * k1).min(0.95 * a2 * ranges.current_command)),
-            share: S::gain(match memory {
-                Memory::Observer => 0.0,
-                Memory::Integral => 1.0,
-            }),
-            half_a2: S::gain(0.5 * a2),
-            minus_a1: S::gain(-a1),
-            period: S::gain(h),
-            half_period_squared: S::gain(0.5 * h * h),
-            speed_limit: limit(epsilon1),
-            k1: S::gain(k1),
-            current_limit: limit(epsilon2),
-            reserve: S::gain(voltage_reserve),
-            keep: S::gain(keep),
-            held: S::gain(held),
-            back_emf: S::gain(back_emf),
-            per_a2: S::gain(1.0 / a2),
-            a1_per_a2: S::gain(a1 / a2),
-            c_per_a2: S::gain(c / a2),
-            command_limit: S::from_f32(ranges.current_command),
-            decay: S::gain(1.0 + exp_m1(-wi * h)),
-            c_period: S::gain(c * h),
-            period_per_a2: S::gain(h / a2),
-            per_held: S::gain(1.0 / held),
-            keep_per_held: S::gain(keep / held),
-            output_share: S::gain(-exp_m1(-wf * h)),
-            a2: S::gain(a2),
-            disturbance_injection: Injection::new(0.0, epsilon1),
-            voltage_injection: Injection::new(0.0, epsilon2),
+            overload: S::constant(torque, (0.99 * k1).min(0.95 * a2 * ranges.current_command), a)?,
+            share: S::gains("control.memory", [(share, w)], w)?,
+            modelled: S::steep("motor", [(0.5 * a2, i), (-a1, w)], a)?,
+            period: S::gains("timing.rate", [(h, a)], w)?,
+            gained: S::gains("timing.rate", [(h, j)], a)?,
+            periods: S::gains("timing.rate", [(h, a), (0.5 * h * h, j)], w)?,
+            speed_limit: S::constant(torque, EXHAUSTED * epsilon1, w)?,
+            k1: S::gains(torque, [(k1, Base::RATIO)], a)?,
+            current_limit: S::constant(reserve, EXHAUSTED * epsilon2, i)?,
+            reserve: S::steep(reserve, [(voltage_reserve, Base::RATIO)], v)?,
+            keep: S::gains("motor", [(keep, i)], i)?,
+            held: S::steep("motor", [(held, v)], i)?,
+            back_emf: S::steep("motor", [(back_emf, w)], v)?,
+            per_a2: S::steep("motor", [(1.0 / a2, a)], i)?,
+            a1_per_a2: S::gains("motor.viscous_friction", [(a1 / a2, w)], i)?,
+            c_per_a2: S::steep("control.speed_bandwidth", [(c / a2, w)], i)?,
+            command_limit: S::from_f32(ranges.current_command, i),
+            decay: S::gains("control.current_bandwidth", [(1.0 + exp_m1(-wi * h), i)], i)?,
+            c_period: S::gains("control.speed_bandwidth", [(c * h, i)], i)?,
+            period_per_a2: S::steep("motor", [(h / a2, j)], i)?,
+            per_held: S::steep("motor", [(1.0 / held, i)], v)?,
+            holding: S::steep("motor", [(resistance, i), (back_emf, w)], v)?,
+            output_share: S::gains("control.output_bandwidth", [(-exp_m1(-wf * h), v)], v)?,
+            a2: S::steep("motor", [(a2, i)], a)?,
+            disturbance_injection: Injection::new(torque, 0.0, epsilon1, w)?,
+            voltage_injection: Injection::new(reserve, 0.0, epsilon2, i)?,
             resumption: Resumption {
                 strength: k1,
                 layer: epsilon1,
                 reserve: voltage_reserve,
                 reserve_layer: epsilon2,
-                resistance,
+                bases: *bases,
             },
         })
     }
@@ -305,18 +310,18 @@ impl<S: Scalar> DriveForm<S> {
     #[inline(always)]
     fn observe(&mut self, rotation: &Rotation<S>, current: S, jump: S) {
         let both = self.current + current;
-        let acceleration = S::combine([(self.half_a2, both), (self.minus_a1, self.observer.speed)])
-            + self.disturbance;
+        let acceleration =
+            S::amplify(&self.modelled, [both, self.observer.speed]) + self.disturbance;
         let innovation = if self.counts {
             self.observer.innovation_of_counts(rotation, acceleration)
         } else {
             self.observer.innovation(rotation, acceleration)
         };
         let correction = self.observer.correct(innovation);
-        let mismatch = self.speed_mismatch + correction - S::combine([(self.share, jump)]);
+        let mismatch = self.speed_mismatch + correction - S::combine(&self.share, [jump]);
         self.speed_mismatch = mismatch.limited(self.speed_limit);
         let injection = self.disturbance_injection.value(self.speed_mismatch);
-        self.disturbance = S::combine([(self.k1, injection)]);
+        self.disturbance = S::combine(&self.k1, [injection]);
         self.current = current;
     }
 
@@ -344,16 +349,17 @@ impl<S: Scalar> DriveForm<S> {
     pub fn resume(&mut self, measured: &Measured<S>, reference: &Reference<S>, acting: S) {
         let (speed, current) = (self.observer.speed, measured.current);
         self.start(measured, reference);
-        let modelled = S::combine([(self.a2, current), (self.minus_a1, speed)]);
-        let Resumption { strength, layer, reserve, reserve_layer, resistance } = self.resumption;
-        let held = |value: S, strength: f32, layer: f32| {
-            S::from_f32(layer * atanh((value.to_f32() / strength).clamp(-0.99, 0.99)))
-        };
-        self.speed_mismatch = held(reference.acceleration - modelled, strength, layer);
+        let modelled = S::amplify(&self.modelled, [current + current, speed]);
+        let Resumption { strength, layer, reserve, reserve_layer, bases } = self.resumption;
+        // The mismatch at which the injection is this share.
+        let held = |share: f32, layer: f32| layer * atanh(share.clamp(-0.99, 0.99));
+        let share = (reference.acceleration - modelled).to_f32(bases.acceleration) / strength;
+        self.speed_mismatch = S::from_f32(held(share, layer), bases.speed);
         let injection = self.disturbance_injection.value(self.speed_mismatch);
-        self.disturbance = S::combine([(self.k1, injection)]);
-        let needed = S::combine([(self.back_emf, speed), (S::gain(resistance), current)]);
-        self.current_mismatch = held(needed - acting, reserve, reserve_layer);
+        self.disturbance = S::combine(&self.k1, [injection]);
+        let needed = S::amplify(&self.holding, [current, speed]);
+        let share = (needed - acting).to_f32(bases.voltage) / reserve;
+        self.current_mismatch = S::from_f32(held(share, reserve_layer), bases.current);
     }
 
     // Not inlined, for its instructions to be counted apart from its caller's.
@@ -373,41 +379,33 @@ impl<S: Scalar> DriveForm<S> {
         let mismatch = self.current_mismatch + (current - self.predicted_current);
         self.current_mismatch = mismatch.limited(self.current_limit);
         let lacking =
-            S::combine([(self.reserve, self.voltage_injection.value(self.current_mismatch))]);
+            S::amplify(&self.reserve, [self.voltage_injection.value(self.current_mismatch)]);
 
         // The state at the next sample.
-        let inner = acting - S::combine([(self.back_emf, speed)]) + lacking;
-        let current_ahead = S::combine([(self.keep, current), (self.held, inner)]);
+        let inner = acting - S::amplify(&self.back_emf, [speed]) + lacking;
+        let current_ahead = S::combine(&self.keep, [current]) + S::amplify(&self.held, [inner]);
         let acceleration =
-            S::combine([(self.half_a2, current + current_ahead), (self.minus_a1, speed)])
-                + disturbance;
-        let speed_ahead = speed + S::combine([(self.period, acceleration)]);
-        let reference_ahead = reference.speed
-            + S::combine([
-                (self.period, reference.acceleration),
-                (self.half_period_squared, reference.jerk),
-            ]);
+            S::amplify(&self.modelled, [current + current_ahead, speed]) + disturbance;
+        let speed_ahead = speed + S::combine(&self.period, [acceleration]);
+        let reference_ahead =
+            reference.speed + S::combine(&self.periods, [reference.acceleration, reference.jerk]);
         let acceleration_ahead =
-            reference.acceleration + S::combine([(self.period, reference.jerk)]);
+            reference.acceleration + S::combine(&self.gained, [reference.jerk]);
 
         // The virtual control and the current that it wants a period later.
-        let needed = S::combine([
-            (self.per_a2, acceleration_ahead - disturbance),
-            (self.a1_per_a2, speed_ahead),
-        ]);
-        let wanted = needed - S::combine([(self.c_per_a2, speed_ahead - reference_ahead)]);
+        let needed = S::amplify(&self.per_a2, [acceleration_ahead - disturbance])
+            + S::combine(&self.a1_per_a2, [speed_ahead]);
+        let wanted = needed - S::amplify(&self.c_per_a2, [speed_ahead - reference_ahead]);
         let command = wanted.limited(self.command_limit);
-        let moving = S::combine([
-            (self.period_per_a2, reference.jerk),
-            (self.c_period, needed - current_ahead),
-        ]);
+        let moving = S::amplify(&self.period_per_a2, [reference.jerk])
+            + S::combine(&self.c_period, [needed - current_ahead]);
         let target = command
-            + S::combine([(self.decay, current_ahead - command)])
+            + S::combine(&self.decay, [current_ahead - command])
             + if command == wanted { moving } else { S::ZERO };
-        let voltage = S::combine([(self.per_held, target), (self.back_emf, speed_ahead)])
-            - S::combine([(self.keep_per_held, current_ahead)])
+        let voltage = S::amplify(&self.per_held, [target - current_ahead])
+            + S::amplify(&self.holding, [current_ahead, speed_ahead])
             - lacking;
-        let voltage = acting + S::combine([(self.output_share, voltage - acting)]);
+        let voltage = acting + S::combine(&self.output_share, [voltage - acting]);
 
         // Beyond authority: more load than can be held, or a voltage that the reserve does not cover while less than half
         // of the wanted current flows. (A resistance half off takes the reserve in a jump too, but not half the current.)
@@ -427,7 +425,7 @@ impl<S: Scalar> DriveForm<S> {
         self.last = Signals {
             speed,
             z1: speed - reference.speed,
-            z2: S::combine([(self.a2, current_ahead - command)]),
+            z2: S::amplify(&self.a2, [current_ahead - command]),
             disturbance,
             voltage,
         };
@@ -456,7 +454,8 @@ impl<S: Scalar> DriveForm<S> {
         let moved = speed - self.speed_before;
         let nearer = if z1 < S::ZERO { moved } else { -moved };
         let left = z1.abs();
-        let stuck = nearer <= S::from_f32(0.1) * left && moved.abs() <= left + left;
+        let [nearer_by, left_by] = [nearer, left].map(|signal| signal.to_f32(Base::RATIO));
+        let stuck = nearer_by <= 0.1 * left_by && moved.abs() <= left + left;
         self.exhausted = 0;
         self.speed_before = speed;
         stuck
@@ -547,12 +546,13 @@ mod tests {
             speed: true,
             grain: 0.0,
         };
-        let setting = Setting { motor: &motor, timing: &timing, shaft, ranges };
+        let setting =
+            Setting { motor: &motor, timing: &timing, shaft, ranges, bases: &Bases::NONE };
         DriveForm::new(config, &setting)
     }
 
     fn turned(advance: f32) -> Rotation<f32> {
-        Rotation { advance, behind: 0.0, shift: 0.0 }
+        Rotation { advance, behind: 0.0, shift: 0 }
     }
 
     fn measured(advance: f32, current: f32) -> Measured<f32> {
@@ -630,7 +630,7 @@ mod tests {
                 let [first, second] = form.sliding_variables();
                 assert!(first.abs() <= layer1 && second.abs() <= layer2, "{first}, {second}");
                 // z2 = a2·(î⁺ − i*), and î⁺ is bounded by what came in: i* is within ±20 A.
-                let command = form.predicted_current - signals.z2 / form.a2;
+                let command = form.predicted_current - signals.z2 / form.a2[0];
                 assert!(command.abs() <= 20.001, "{command}");
                 let lacking = 2.5 * form.voltage_injection.value(second);
                 largest[0] = largest[0].max(signals.disturbance.abs() / k1);

@@ -19,6 +19,7 @@ use super::{Setting, Signals, Timing};
 use crate::config::{ConfigError, positive, require};
 use crate::estimate::{SpeedEstimator, SpeedSource};
 use crate::math::{Scalar, exp_m1};
+use crate::per_unit::Bases;
 use crate::sense::Measured;
 use crate::trajectory::Reference;
 use serde::{Deserialize, Serialize};
@@ -59,11 +60,11 @@ pub(crate) struct Ladrc<S: Scalar> {
     observer: ExtendedStateObserver<S>,
     current_limit: S,
     /// wc/b0 (A per rad/s), negative.
-    proportional: S::Gain,
+    proportional: S::Steep<1>,
     /// 1/b0.
-    per_torque: S::Gain,
-    a1: S::Gain,
-    a2: S::Gain,
+    per_torque: S::Steep<1>,
+    a1: S::Gains<1>,
+    a2: S::Steep<1>,
     current: CurrentLoop<S>,
     signals: Signals<S>,
 }
@@ -77,25 +78,27 @@ struct ExtendedStateObserver<S: Scalar> {
     disturbance: S,
     /// The speed and the acceleration b0·i at the last sample, if there was one.
     before: Option<(S, S)>,
-    period: S::Gain,
-    half_period: S::Gain,
+    /// Per mean acceleration, and per disturbance, over the period.
+    moved: S::Gains<2>,
     /// What a correction leaves of the lead.
-    keep: S::Gain,
-    disturbance_gain: S::Gain,
+    keep: S::Gains<1>,
+    disturbance_gain: S::Steep<1>,
 }
 
 impl<S: Scalar> ExtendedStateObserver<S> {
-    fn new(bandwidth: f32, period: f32) -> Self {
+    fn new(bandwidth: f32, period: f32, bases: &Bases) -> Result<Self, ConfigError> {
         let share = -exp_m1(-bandwidth * period);
-        Self {
+        let &Bases { speed: w, acceleration: a, .. } = bases;
+        let field = "control.ladrc.observer_bandwidth";
+        let moved = [(0.5 * period, a), (period, a)];
+        Ok(Self {
             lead: S::ZERO,
             disturbance: S::ZERO,
             before: None,
-            period: S::gain(period),
-            half_period: S::gain(0.5 * period),
-            keep: S::gain((1.0 - share) * (1.0 - share)),
-            disturbance_gain: S::gain(share * share / period),
-        }
+            moved: S::gains("timing.rate", moved, w)?,
+            keep: S::gains(field, [((1.0 - share) * (1.0 - share), w)], w)?,
+            disturbance_gain: S::steep(field, [(share * share / period, w)], a)?,
+        })
     }
 
     fn start(&mut self) {
@@ -111,13 +114,10 @@ impl<S: Scalar> ExtendedStateObserver<S> {
                 self.disturbance = -driven;
             }
             Some((speed_before, driven_before)) => {
-                let moved = S::combine([
-                    (self.half_period, driven_before + driven),
-                    (self.period, self.disturbance),
-                ]);
+                let moved = S::combine(&self.moved, [driven_before + driven, self.disturbance]);
                 let lead = self.lead + (moved - (speed - speed_before));
-                self.lead = S::combine([(self.keep, lead)]);
-                self.disturbance = self.disturbance - S::combine([(self.disturbance_gain, lead)]);
+                self.lead = S::combine(&self.keep, [lead]);
+                self.disturbance = self.disturbance - S::amplify(&self.disturbance_gain, [lead]);
             }
         }
         self.before = Some((speed, driven));
@@ -129,11 +129,11 @@ impl<S: Scalar> Ladrc<S> {
     pub fn new(config: &LadrcConfig, setting: &Setting) -> Result<Self, ConfigError> {
         let &LadrcConfig { control_bandwidth, observer_bandwidth, current_bandwidth, speed } =
             config;
-        let &Setting { motor, timing, shaft, ranges } = setting;
+        let &Setting { motor, timing, shaft, ranges, bases } = setting;
         let period = timing.period();
         let current =
             CurrentLoop::new("control.ladrc.current_bandwidth", current_bandwidth, setting)?;
-        let estimator = SpeedEstimator::new(&speed, shaft)?;
+        let estimator = SpeedEstimator::new(&speed, shaft, bases)?;
         positive("control.ladrc.control_bandwidth", control_bandwidth)?;
         require(
             control_bandwidth <= 0.6 * current_bandwidth,
@@ -157,15 +157,16 @@ impl<S: Scalar> Ladrc<S> {
             "must be at most half the sampling rate and 0.6/(the speed estimate's lag)",
             observer_bandwidth,
         )?;
+        let &Bases { speed: w, acceleration: a, current: i, .. } = bases;
         Ok(Self {
             estimator,
             acceleration: S::ZERO,
-            observer: ExtendedStateObserver::new(observer_bandwidth, period),
-            current_limit: S::from_f32(ranges.current_command),
-            proportional: S::gain(-proportional),
-            per_torque: S::gain(1.0 / motor.a2),
-            a1: S::gain(motor.a1),
-            a2: S::gain(motor.a2),
+            observer: ExtendedStateObserver::new(observer_bandwidth, period, bases)?,
+            current_limit: S::from_f32(ranges.current_command, i),
+            proportional: S::steep("control.ladrc.control_bandwidth", [(-proportional, w)], i)?,
+            per_torque: S::steep("motor", [(1.0 / motor.a2, a)], i)?,
+            a1: S::gains("motor", [(motor.a1, w)], a)?,
+            a2: S::steep("motor", [(motor.a2, i)], a)?,
             current,
             signals: Signals::NONE,
         })
@@ -175,7 +176,7 @@ impl<S: Scalar> Ladrc<S> {
     pub fn follow(&mut self, measured: &Measured<S>) -> S {
         let speed = self.estimator.step(measured, self.acceleration);
         self.acceleration =
-            S::combine([(self.a2, measured.current)]) - S::combine([(self.a1, speed)]);
+            S::amplify(&self.a2, [measured.current]) - S::combine(&self.a1, [speed]);
         speed
     }
 
@@ -195,24 +196,22 @@ impl<S: Scalar> Ladrc<S> {
     #[inline]
     pub fn step(&mut self, measured: &Measured<S>, reference: &Reference<S>, acting: S) -> S {
         let current = measured.current;
-        let driven = S::combine([(self.a2, current)]);
+        let driven = S::amplify(&self.a2, [current]);
         let seen = self.estimator.step(measured, self.acceleration);
         let speed = self.observer.step(seen, driven);
         let total = self.observer.disturbance;
         self.acceleration = driven + total;
         let z1 = speed - reference.speed;
-        let wanted = S::combine([
-            (self.proportional, z1),
-            (self.per_torque, reference.acceleration - total),
-        ]);
+        let wanted = S::amplify(&self.proportional, [z1])
+            + S::amplify(&self.per_torque, [reference.acceleration - total]);
         let command = wanted.limited(self.current_limit);
         let voltage = self.current.step(command, current, speed, acting);
         self.signals = Signals {
             speed,
             z1,
-            z2: S::combine([(self.a2, current - command)]),
+            z2: S::amplify(&self.a2, [current - command]),
             // The model's friction is no disturbance elsewhere.
-            disturbance: total + S::combine([(self.a1, speed)]),
+            disturbance: total + S::combine(&self.a1, [speed]),
             voltage,
         };
         voltage
@@ -282,7 +281,13 @@ mod tests {
     fn friction_is_no_disturbance_but_is_taken_off() {
         let motor = MotorParameters { viscous_friction: 1e-4, ..MOTOR };
         let known = motor.coefficients().expect("valid");
-        let setting = Setting { motor: &known, timing: &TIMING, shaft: &SHAFT, ranges: &RANGES };
+        let setting = Setting {
+            motor: &known,
+            timing: &TIMING,
+            shaft: &SHAFT,
+            ranges: &RANGES,
+            bases: &Bases::NONE,
+        };
         let ladrc = Ladrc::new(&config(400.0, SpeedSource::Exact), &setting).expect("valid");
         let mut rig = rig(config(400.0, SpeedSource::Exact), motor);
         rig.controller = crate::control::Controller::Ladrc(ladrc);

@@ -16,6 +16,7 @@ pub mod pi;
 use crate::config::{ConfigError, require};
 use crate::math::Scalar;
 use crate::motor::Coefficients;
+use crate::per_unit::Bases;
 use crate::sense::{Measured, Shaft};
 use crate::trajectory::Reference;
 use drive_form::DriveForm;
@@ -78,6 +79,8 @@ pub(crate) struct Setting<'a> {
     pub shaft: &'a Shaft,
     /// What it may see and ask for.
     pub ranges: &'a Ranges,
+    /// What full scale is.
+    pub bases: &'a Bases,
 }
 
 /// Which controller runs, with its gains.
@@ -136,6 +139,8 @@ pub(crate) enum Controller<S: Scalar> {
 
 impl<S: Scalar> Controller<S> {
     /// Builds a controller. Refuses gains outside their range, naming the field.
+    // Not inlined: the stack of all four would be taken at once, beside that of a drive.
+    #[inline(never)]
     pub fn new(config: &ControlConfig, setting: &Setting) -> Result<Self, ConfigError> {
         setting.timing.check()?;
         Ok(match config {

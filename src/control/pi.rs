@@ -29,6 +29,7 @@ use super::{Setting, Signals, Timing};
 use crate::config::{ConfigError, positive, require};
 use crate::estimate::{SpeedEstimator, SpeedSource};
 use crate::math::{Scalar, exp_m1};
+use crate::per_unit::Bases;
 use crate::sense::Measured;
 use crate::trajectory::Reference;
 use serde::{Deserialize, Serialize};
@@ -99,14 +100,14 @@ pub(crate) struct CascadedPi<S: Scalar> {
     excess: S,
     current_limit: S,
     /// kp (A per rad/s), negative.
-    proportional: S::Gain,
+    proportional: S::Steep<1>,
     /// What a period of speed error adds to the integral (A per rad/s), negative.
-    integration: S::Gain,
+    integration: S::Steep<1>,
     /// 1/a2.
-    per_torque: S::Gain,
-    minus_per_torque: S::Gain,
-    a1: S::Gain,
-    a2: S::Gain,
+    per_torque: S::Steep<1>,
+    /// a2·i − a1·ω.
+    modelled: S::Steep<2>,
+    a2: S::Steep<1>,
     observer: Option<DisturbanceObserver<S>>,
     current: CurrentLoop<S>,
     signals: Signals<S>,
@@ -116,10 +117,10 @@ impl<S: Scalar> CascadedPi<S> {
     pub fn new(config: &PiConfig, setting: &Setting) -> Result<Self, ConfigError> {
         let &PiConfig { current_bandwidth, speed_bandwidth, speed_damping, disturbance, speed } =
             config;
-        let &Setting { motor, timing, shaft, ranges } = setting;
+        let &Setting { motor, timing, shaft, ranges, bases } = setting;
         let period = timing.period();
         let current = CurrentLoop::new("control.pi.current_bandwidth", current_bandwidth, setting)?;
-        let estimator = SpeedEstimator::new(&speed, shaft)?;
+        let estimator = SpeedEstimator::new(&speed, shaft, bases)?;
         let estimate_lag = lag(&speed, period, shaft.age);
         let lag = 1.0 / current_bandwidth + estimate_lag;
         require(
@@ -154,21 +155,22 @@ impl<S: Scalar> CascadedPi<S> {
                     "must be at most half the sampling rate and 0.6/(the speed estimate's lag)",
                     bandwidth,
                 )?;
-                Some(DisturbanceObserver::new(bandwidth, period))
+                Some(DisturbanceObserver::new(bandwidth, period, bases)?)
             }
         };
+        let &Bases { speed: w, acceleration: a, current: i, .. } = bases;
+        let field = "control.pi.speed_bandwidth";
         Ok(Self {
             estimator,
             acceleration: S::ZERO,
             integral: S::ZERO,
             excess: S::ZERO,
-            current_limit: S::from_f32(ranges.current_command),
-            proportional: S::gain(-proportional),
-            integration: S::gain(-integration),
-            per_torque: S::gain(1.0 / motor.a2),
-            minus_per_torque: S::gain(-1.0 / motor.a2),
-            a1: S::gain(-motor.a1),
-            a2: S::gain(motor.a2),
+            current_limit: S::from_f32(ranges.current_command, i),
+            proportional: S::steep(field, [(-proportional, w)], i)?,
+            integration: S::steep(field, [(-integration, w)], i)?,
+            per_torque: S::steep("motor", [(1.0 / motor.a2, a)], i)?,
+            modelled: S::steep("motor", [(motor.a2, i), (-motor.a1, w)], a)?,
+            a2: S::steep("motor", [(motor.a2, i)], a)?,
             observer,
             current,
             signals: Signals::NONE,
@@ -206,34 +208,31 @@ impl<S: Scalar> CascadedPi<S> {
 
         // The period that is over: what was wanted less what that voltage was worth.
         let missing = self.excess + self.current.missing(acting);
-        let growth = S::combine([(self.integration, self.signals.z1)]);
+        let growth = S::amplify(&self.integration, [self.signals.z1]);
         self.integral =
             (self.integral + (growth - missing.limited(growth.abs()))).limited(self.current_limit);
 
         let disturbance = match &mut self.observer {
             Some(observer) => {
-                let modelled = S::combine([(self.a2, current), (self.a1, speed)]);
+                let modelled = S::amplify(&self.modelled, [current, speed]);
                 let disturbance = observer.step(speed, modelled);
                 self.acceleration = modelled + disturbance;
                 disturbance
             }
             // In the steady state this is no acceleration: a speed estimate that is fed with it has no offset there.
             None => {
-                self.acceleration = S::combine([(self.a2, current - self.integral)]);
+                self.acceleration = S::amplify(&self.a2, [current - self.integral]);
                 S::ZERO
             }
         };
         let z1 = speed - reference.speed;
         let wanted = self.integral
-            + S::combine([
-                (self.proportional, z1),
-                (self.per_torque, reference.acceleration),
-                (self.minus_per_torque, disturbance),
-            ]);
+            + S::amplify(&self.proportional, [z1])
+            + S::amplify(&self.per_torque, [reference.acceleration - disturbance]);
         let command = wanted.limited(self.current_limit);
         self.excess = wanted - command;
         let voltage = self.current.step(command, current, speed, acting);
-        let z2 = S::combine([(self.a2, current - command)]);
+        let z2 = S::amplify(&self.a2, [current - command]);
         self.signals = Signals { speed, z1, z2, disturbance, voltage };
         voltage
     }
@@ -245,7 +244,7 @@ impl<S: Scalar> CascadedPi<S> {
     /// −a1·ω + a2·i (rad/s²).
     #[inline]
     fn modelled_acceleration(&self, speed: S, current: S) -> S {
-        S::combine([(self.a2, current), (self.a1, speed)])
+        S::amplify(&self.modelled, [current, speed])
     }
 }
 
@@ -257,21 +256,23 @@ struct DisturbanceObserver<S: Scalar> {
     disturbance: S,
     /// The speed and the modelled acceleration at the last sample, if there was one.
     before: Option<(S, S)>,
-    period: S::Gain,
-    half_period: S::Gain,
-    gain: S::Gain,
+    /// Per mean acceleration, and per disturbance, over the period; negative.
+    moved: S::Gains<2>,
+    gain: S::Steep<1>,
 }
 
 impl<S: Scalar> DisturbanceObserver<S> {
-    fn new(bandwidth: f32, period: f32) -> Self {
-        Self {
+    fn new(bandwidth: f32, period: f32, bases: &Bases) -> Result<Self, ConfigError> {
+        let &Bases { speed, acceleration, .. } = bases;
+        let gain = -exp_m1(-bandwidth * period) / period;
+        let moved = [(-0.5 * period, acceleration), (-period, acceleration)];
+        Ok(Self {
             rest: S::ZERO,
             disturbance: S::ZERO,
             before: None,
-            period: S::gain(-period),
-            half_period: S::gain(-0.5 * period),
-            gain: S::gain(-exp_m1(-bandwidth * period) / period),
-        }
+            moved: S::gains("timing.rate", moved, speed)?,
+            gain: S::steep("control.pi.disturbance", [(gain, speed)], acceleration)?,
+        })
     }
 
     fn start(&mut self) {
@@ -284,14 +285,11 @@ impl<S: Scalar> DisturbanceObserver<S> {
     #[inline]
     fn step(&mut self, speed: S, modelled: S) -> S {
         if let Some((speed_before, modelled_before)) = self.before {
-            let moved = S::combine([
-                (self.half_period, modelled_before + modelled),
-                (self.period, self.disturbance),
-            ]);
+            let moved = S::combine(&self.moved, [modelled_before + modelled, self.disturbance]);
             self.rest = self.rest + ((speed - speed_before) + moved);
         }
         self.before = Some((speed, modelled));
-        self.disturbance = S::combine([(self.gain, self.rest)]);
+        self.disturbance = S::amplify(&self.gain, [self.rest]);
         self.disturbance
     }
 }
@@ -304,14 +302,13 @@ pub(super) struct CurrentLoop<S: Scalar> {
     /// The last period's, if the bridge was on.
     before: Option<Before<S>>,
     /// kc (V/A).
-    gain: S::Gain,
+    gain: S::Steep<1>,
     /// 1/kc.
-    per_gain: S::Gain,
-    resistance: S::Gain,
-    back_emf: S::Gain,
-    /// e^(−a4·h), and what it lacks to 1.
-    keep: S::Gain,
-    share: S::Gain,
+    per_gain: S::Steep<1>,
+    resistance: S::Steep<1>,
+    back_emf: S::Steep<1>,
+    /// 1 − e^(−a4·h).
+    share: S::Gains<1>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -329,7 +326,8 @@ impl<S: Scalar> CurrentLoop<S> {
         bandwidth: f32,
         setting: &Setting,
     ) -> Result<Self, ConfigError> {
-        let &Setting { motor, timing, ranges, .. } = setting;
+        let &Setting { motor, timing, ranges, bases, .. } = setting;
+        let &Bases { speed: w, current: i, voltage: v, .. } = bases;
         positive(field, bandwidth)?;
         require(
             bandwidth * small_times(timing) <= 0.75,
@@ -354,18 +352,17 @@ impl<S: Scalar> CurrentLoop<S> {
         Ok(Self {
             drop: S::ZERO,
             before: None,
-            gain: S::gain(gain),
-            per_gain: S::gain(1.0 / gain),
-            resistance: S::gain(resistance),
-            back_emf: S::gain(back_emf),
-            keep: S::gain(1.0 - share),
-            share: S::gain(share),
+            gain: S::steep(field, [(gain, i)], v)?,
+            per_gain: S::steep(field, [(1.0 / gain, v)], i)?,
+            resistance: S::steep("motor.resistance", [(resistance, i)], v)?,
+            back_emf: S::steep("motor.back_emf_constant", [(back_emf, w)], v)?,
+            share: S::gains("motor", [(share, v)], v)?,
         })
     }
 
     /// Starts with a current (A): as if that had flowed for long.
     pub fn start(&mut self, current: S) {
-        self.drop = S::combine([(self.resistance, current)]);
+        self.drop = S::amplify(&self.resistance, [current]);
         self.before = None;
     }
 
@@ -373,7 +370,7 @@ impl<S: Scalar> CurrentLoop<S> {
     #[inline]
     pub fn missing(&self, acting: S) -> S {
         match &self.before {
-            Some(before) => S::combine([(self.per_gain, before.voltage - acting)]),
+            Some(before) => S::amplify(&self.per_gain, [before.voltage - acting]),
             None => S::ZERO,
         }
     }
@@ -382,11 +379,10 @@ impl<S: Scalar> CurrentLoop<S> {
     #[inline]
     pub fn step(&mut self, command: S, current: S, speed: S, acting: S) -> S {
         if let Some(before) = &self.before {
-            self.drop =
-                S::combine([(self.keep, self.drop), (self.share, acting - before.back_emf)]);
+            self.drop = self.drop + S::combine(&self.share, [acting - before.back_emf - self.drop]);
         }
-        let back_emf = S::combine([(self.back_emf, speed)]);
-        let voltage = S::combine([(self.gain, command - current)]) + self.drop + back_emf;
+        let back_emf = S::amplify(&self.back_emf, [speed]);
+        let voltage = S::amplify(&self.gain, [command - current]) + self.drop + back_emf;
         self.before = Some(Before { back_emf, voltage });
         voltage
     }
@@ -397,6 +393,7 @@ impl<S: Scalar> CurrentLoop<S> {
 pub(super) mod rig {
     use crate::control::{ControlConfig, Controller, Ranges, Setting, Timing};
     use crate::motor::{Coefficients, MotorParameters};
+    use crate::per_unit::Bases;
     use crate::sense::{Measured, Rotation, Shaft};
     use crate::trajectory::Reference;
 
@@ -460,8 +457,13 @@ pub(super) mod rig {
 
         fn try_new(config: &ControlConfig, motor: MotorParameters) -> Result<Self, &'static str> {
             let known = MotorParameters::PAPER.coefficients().expect("valid");
-            let setting =
-                Setting { motor: &known, timing: &TIMING, shaft: &SHAFT, ranges: &RANGES };
+            let setting = Setting {
+                motor: &known,
+                timing: &TIMING,
+                shaft: &SHAFT,
+                ranges: &RANGES,
+                bases: &Bases::NONE,
+            };
             Ok(Self {
                 controller: Controller::new(config, &setting).map_err(|error| error.field)?,
                 state: [0.0; 5],
@@ -496,7 +498,7 @@ pub(super) mod rig {
                 rotation: Rotation {
                     advance: (self.state[0] - self.angle) as f32,
                     behind: 0.0,
-                    shift: 0.0,
+                    shift: 0,
                 },
                 speed: self.speed() as f32,
                 current: self.current() as f32,
@@ -515,7 +517,7 @@ pub(super) mod rig {
         /// A period of a sample and an acting voltage that have nothing to do with the motor, each from −1 to 1.
         pub fn mislead(&mut self, [speed, current, acting, advance]: [f32; 4]) {
             let measured = Measured {
-                rotation: Rotation { advance: 0.02 * advance, behind: 0.0, shift: 0.0 },
+                rotation: Rotation { advance: 0.02 * advance, behind: 0.0, shift: 0 },
                 speed: 400.0 * speed,
                 current: 40.0 * current,
                 bus_voltage: 24.0,
@@ -629,7 +631,13 @@ mod tests {
     #[test]
     fn the_current_loop_has_the_magnitude_optimums_step_response() {
         let known = MOTOR.coefficients().expect("valid");
-        let setting = Setting { motor: &known, timing: &TIMING, shaft: &SHAFT, ranges: &RANGES };
+        let setting = Setting {
+            motor: &known,
+            timing: &TIMING,
+            shaft: &SHAFT,
+            ranges: &RANGES,
+            bases: &Bases::NONE,
+        };
         let bandwidth = magnitude_optimum(&TIMING);
         let mut current = CurrentLoop::<f32>::new("current", bandwidth, &setting).expect("valid");
         // An armature that does not turn, one period late, by its difference equation.

@@ -8,8 +8,31 @@ use std::fs;
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::{Path, PathBuf};
 
-/// Cortex-M4F and M7.
-const TARGET: &str = "thumbv7em-none-eabihf";
+/// Cortex-M4F and M7, M3, M0.
+const TARGETS: [&str; 3] = ["thumbv7em-none-eabihf", "thumbv7m-none-eabi", "thumbv6m-none-eabi"];
+
+/// A firmware image.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub struct Image {
+    /// Its name: it goes to `target/firmware/<name>.elf`.
+    pub name: &'static str,
+    binary: &'static str,
+    target: &'static str,
+    features: &'static str,
+}
+
+impl Image {
+    /// QEMU's MPS2 boards with Cortex-M4F and M7.
+    pub const QEMU: Self =
+        Self { name: "qemu", binary: "qemu", target: TARGETS[0], features: "qemu" };
+    /// That with Cortex-M3.
+    pub const QEMU_M3: Self = Self { name: "qemu-m3", target: TARGETS[1], ..Self::QEMU };
+    /// QEMU's micro:bit.
+    pub const QEMU_M0: Self =
+        Self { name: "qemu-m0", target: TARGETS[2], features: "microbit", ..Self::QEMU };
+    /// All images.
+    pub const ALL: [Self; 3] = [Self::QEMU, Self::QEMU_M3, Self::QEMU_M0];
+}
 
 const DEBIAN_PACKAGES: [&str; 3] = ["rustc-web", "cargo-web", "rust-web-src"];
 const DEBIAN_RUSTC: &str = "/usr/bin/rustc";
@@ -46,23 +69,24 @@ impl Cross {
                 println!("Set-up: {rustup_error:#}; trying Debian's packages.");
                 debian().map_err(|debian_error| {
                     debian_error.context(format!(
-                        "no standard library for {TARGET}. rustup: {rustup_error:#}. Debian"
+                        "no standard library for Cortex-M. rustup: {rustup_error:#}. Debian"
                     ))
                 })
             }),
         }
     }
 
-    /// Builds a board's firmware; gives its ELF, at `target/firmware/<board>.elf`.
-    pub fn firmware(&self, board: &str) -> Result<PathBuf> {
+    /// Builds a firmware image; gives its ELF.
+    pub fn firmware(&self, image: Image) -> Result<PathBuf> {
+        let Image { name, binary, target, features } = image;
         self.cargo()
-            .args(&["build", "--target", TARGET, "--profile", "firmware"])
-            .args(&["--package", "quasidrive", "--bin", board, "--features", board])
+            .args(&["build", "--target", target, "--profile", "firmware"])
+            .args(&["--package", "quasidrive", "--bin", binary, "--features", features])
             // Without it all but errors are compiled out.
             .env("DEFMT_LOG", "info")
             .run()?;
-        let built = self.target_dir().join(TARGET).join("firmware").join(board);
-        let elf = root().join(format!("target/firmware/{board}.elf"));
+        let built = self.target_dir().join(target).join("firmware").join(binary);
+        let elf = root().join(format!("target/firmware/{name}.elf"));
         fs::create_dir_all(elf.with_file_name(""))?;
         fs::copy(&built, &elf).with_context(|| format!("no {}", built.display()))?;
         Ok(elf)
@@ -83,7 +107,10 @@ impl Cross {
             Self::Rustup => cargo(&[]),
             Self::Debian { sysroot, linker } => {
                 let flags = format!("--sysroot\u{1f}{}", sysroot.display());
-                debian_cargo(&flags).env("CARGO_TARGET_THUMBV7EM_NONE_EABIHF_LINKER", linker)
+                TARGETS.iter().fold(debian_cargo(&flags), |cargo, target| {
+                    let target = target.to_uppercase().replace('-', "_");
+                    cargo.env(&format!("CARGO_TARGET_{target}_LINKER"), linker)
+                })
             }
         }
         .env("CARGO_TARGET_DIR", self.target_dir())
@@ -100,14 +127,15 @@ impl Cross {
 
 fn rustup() -> Result<Cross> {
     let installed = || {
-        let targets = program("rustup").args(&["target", "list", "--installed"]).output()?;
-        Some(targets.lines().any(|target| target == TARGET))
+        let installed = program("rustup").args(&["target", "list", "--installed"]).output()?;
+        Some(TARGETS.iter().all(|target| installed.lines().any(|line| line == *target)))
     };
+    let list = TARGETS.join(", ");
     match installed() {
-        Some(true) => println!("Set-up: {TARGET} is there, by rustup."),
+        Some(true) => println!("Set-up: {list} are there, by rustup."),
         Some(false) => {
-            println!("Set-up: adding {TARGET} by rustup.");
-            program("rustup").args(&["target", "add", TARGET]).run()?;
+            println!("Set-up: adding {list} by rustup.");
+            program("rustup").args(&["target", "add"]).args(&TARGETS).run()?;
         }
         None => bail!("rustup cannot be run: install it from rustup.rs"),
     }
@@ -132,12 +160,14 @@ fn debian() -> Result<Cross> {
     let mut hasher = DefaultHasher::new();
     version.hash(&mut hasher);
     let sysroot = root().join(format!("target/sysroot-{:016x}", hasher.finish()));
-    let libraries = sysroot.join("lib/rustlib").join(TARGET).join("lib");
-    if libraries.is_dir() {
-        println!("Set-up: core for {TARGET} is built.");
-    } else {
-        println!("Set-up: building core for {TARGET} from Debian's source, once.");
-        build_sysroot(&sysroot, &libraries)?;
+    for target in TARGETS {
+        let libraries = sysroot.join("lib/rustlib").join(target).join("lib");
+        if libraries.is_dir() {
+            println!("Set-up: core for {target} is built.");
+        } else {
+            println!("Set-up: building core for {target} from Debian's source, once.");
+            build_sysroot(&sysroot, target, &libraries)?;
+        }
     }
     Ok(Cross::Debian { sysroot, linker: rust_lld()? })
 }
@@ -156,7 +186,7 @@ fn rust_lld() -> Result<PathBuf> {
 }
 
 /// Builds core and alloc as a dependency of an empty crate, and lays them out as a sysroot.
-fn build_sysroot(sysroot: &Path, libraries: &Path) -> Result<()> {
+fn build_sysroot(sysroot: &Path, target: &str, libraries: &Path) -> Result<()> {
     let seed = sysroot.join("seed");
     fs::create_dir_all(seed.join("src"))?;
     fs::write(
@@ -165,7 +195,7 @@ fn build_sysroot(sysroot: &Path, libraries: &Path) -> Result<()> {
     )?;
     fs::write(seed.join("src/lib.rs"), "#![no_std]\n")?;
     debian_cargo("-Cembed-bitcode=yes\u{1f}-Zforce-unstable-if-unmarked")
-        .args(&["build", "--release", "-Zbuild-std=core,alloc", "--target", TARGET])
+        .args(&["build", "--release", "-Zbuild-std=core,alloc", "--target", target])
         .env("RUSTC_BOOTSTRAP", "1")
         .env("CARGO_TARGET_DIR", seed.join("target"))
         .current_dir(&seed)
@@ -173,7 +203,7 @@ fn build_sysroot(sysroot: &Path, libraries: &Path) -> Result<()> {
     // Filled aside and moved in whole: a folder that is there is complete.
     let aside = libraries.with_extension("partial");
     fs::create_dir_all(&aside)?;
-    let built = seed.join("target").join(TARGET).join("release/deps");
+    let built = seed.join("target").join(target).join("release/deps");
     for entry in fs::read_dir(&built)? {
         let file = entry?.path();
         let name = file.file_name().unwrap_or_default();

@@ -10,7 +10,7 @@ use std::ops::Range;
 use std::path::Path;
 
 /// The handler, as its mangled name has it.
-const HANDLER: &str = "5board4qemu6timer0";
+const HANDLER: &str = "5board4qemu5timer";
 
 /// Parts of names that the interrupt must not reach.
 const FORBIDDEN: [&str; 6] =

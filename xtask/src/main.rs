@@ -12,7 +12,7 @@ mod thumb;
 
 use anyhow::Result;
 use clap::{Parser, Subcommand};
-use cross::ToolchainChoice;
+use cross::{Cross, Image, ToolchainChoice};
 use shell::{cargo, root};
 use std::process::ExitCode;
 
@@ -39,7 +39,7 @@ enum Task {
         #[arg(long, default_value = "auto")]
         toolchain: ToolchainChoice,
     },
-    /// Build the firmware for QEMU's MPS2 boards, to target/firmware/qemu.elf.
+    /// Build the firmware for QEMU's boards, to target/firmware.
     Firmware {
         /// Where the standard library for Cortex-M comes from.
         #[arg(long, default_value = "auto")]
@@ -74,13 +74,19 @@ fn execute(task: Task) -> Result<()> {
         Task::Demo => demo(),
         Task::Test { toolchain } => test(toolchain),
         Task::Firmware { toolchain } => {
-            let elf = setup::everything(toolchain)?.firmware("qemu")?;
-            println!("Built {}.", elf.display());
-            interrupt::check(&elf)
+            let cross = setup::everything(toolchain)?;
+            Image::ALL.into_iter().try_for_each(|image| firmware(&cross, image))
         }
         Task::Count { toolchain, rewrite } => count::count(&setup::everything(toolchain)?, rewrite),
         Task::Plots => host_sim(&["paper", "--plots", "docs"]),
     }
+}
+
+/// Builds an image and checks its interrupt.
+fn firmware(cross: &Cross, image: Image) -> Result<()> {
+    let elf = cross.firmware(image)?;
+    println!("Built {}.", elf.display());
+    interrupt::check(&elf)
 }
 
 fn demo() -> Result<()> {
@@ -116,7 +122,7 @@ fn test(toolchain: ToolchainChoice) -> Result<()> {
     cargo(&["fmt", "--all", "--check"]).run()?;
     cargo(&["clippy", "--workspace", "--all-targets", "--", "--deny", "warnings"]).run()?;
     cargo(&["test", "--workspace"]).run()?;
-    interrupt::check(&cross.firmware("qemu")?)?;
+    Image::ALL.into_iter().try_for_each(|image| firmware(&cross, image))?;
     processor_in_the_loop()?;
     count::count(&cross, false)?;
     cargo(&["doc", "--workspace", "--no-deps"]).env("RUSTDOCFLAGS", "--deny warnings").run()?;

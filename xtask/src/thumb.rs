@@ -215,13 +215,14 @@ impl Instruction {
             {
                 Meaning::Plain
             }
-            // Stays within its function.
+            // A jump table stays within its function; Cortex-M0, which has no TBB, adds to the PC.
             ("tbb" | "tbh", _) => Meaning::Plain,
+            ("add", [_, Register(_)]) if first == "pc" => Meaning::Plain,
             ("b" | "bl" | "blx" | "bx", _) => Meaning::Unknown,
             _ if self.writes("pc") => Meaning::Unknown,
             ("push" | "vpush", _) => Meaning::Stack(4 * self.words()),
             ("sub", [.., Immediate(bytes)]) if first == "sp" => Meaning::Stack(*bytes as u64),
-            ("sub", _) if first == "sp" => Meaning::Unknown,
+            ("sub" | "add", [.., Register(_)]) if first == "sp" => Meaning::Unknown,
             (_, [.., Memory { base, offset, .. }]) if base == "sp" && self.writes_back => {
                 Meaning::Stack(offset.wrapping_neg().max(0) as u64)
             }
@@ -266,14 +267,15 @@ pub mod tests {
 
     #[test]
     fn returns_are_told_from_ways_to_unknown_places() {
-        // bx lr; pop {r7, pc}; ldr pc, [sp], #4; tbb [pc, r0]
-        let plain: [&[u16]; 4] = [&[0x4770], &[0xbd80], &[0xf85d, 0xfb04], &[0xe8df, 0xf000]];
+        // bx lr; pop {r7, pc}; ldr pc, [sp], #4; tbb [pc, r0]; add pc, r0
+        let plain: [&[u16]; 5] =
+            [&[0x4770], &[0xbd80], &[0xf85d, 0xfb04], &[0xe8df, 0xf000], &[0x4487]];
         for halfwords in plain {
             assert_eq!(meaning(0x100, halfwords), Meaning::Plain, "{halfwords:x?}");
         }
-        // blx r3; bx r3; mov pc, r0; add pc, r0; ldr.w pc, [r0]; ldm.w r0, {r1, pc}
-        let unknown: [&[u16]; 6] =
-            [&[0x4798], &[0x4718], &[0x4687], &[0x4487], &[0xf8d0, 0xf000], &[0xe890, 0x8002]];
+        // blx r3; bx r3; mov pc, r0; ldr.w pc, [r0]; ldm.w r0, {r1, pc}
+        let unknown: [&[u16]; 5] =
+            [&[0x4798], &[0x4718], &[0x4687], &[0xf8d0, 0xf000], &[0xe890, 0x8002]];
         for halfwords in unknown {
             assert_eq!(meaning(0x100, halfwords), Meaning::Unknown, "{halfwords:x?}");
         }
@@ -296,8 +298,10 @@ pub mod tests {
         for (halfwords, bytes) in cases {
             assert_eq!(meaning(0, halfwords), Meaning::Stack(bytes), "{halfwords:x?}");
         }
-        // sub.w sp, sp, r4
-        assert_eq!(meaning(0, &[0xebad, 0x0d04]), Meaning::Unknown);
+        // sub.w sp, sp, r4; add sp, r6
+        for halfwords in [&[0xebad, 0x0d04][..], &[0x44b5]] {
+            assert_eq!(meaning(0, halfwords), Meaning::Unknown, "{halfwords:x?}");
+        }
     }
 
     #[test]

@@ -17,34 +17,37 @@
 use super::super::Ranges;
 use super::config::{Gains, speed_error_range, z2_range};
 use crate::config::{ConfigError, require};
-use crate::math::Scalar;
+use crate::math::{Base, Scalar};
 use crate::motor::Coefficients;
+use crate::per_unit::Bases;
 use crate::trajectory::Reference;
 
 /// The law's linear parts, collapsed into one gain per signal.
 #[derive(Clone, Debug)]
 pub(super) struct Backstepping<S: Scalar> {
-    a1: S::Gain,
-    a2: S::Gain,
-    c: S::Gain,
-    voltage: VoltageGains<S>,
-}
-
-/// Armature voltage (V) per signal.
-#[derive(Clone, Debug)]
-struct VoltageGains<S: Scalar> {
-    speed: S::Gain,
-    current: S::Gain,
-    z1: S::Gain,
-    z2: S::Gain,
-    jerk: S::Gain,
-    disturbance: S::Gain,
-    lumped: S::Gain,
+    /// −a1·ω + a2·i, of the current and the speed.
+    modelled: S::Steep<2>,
+    /// c·z1.
+    closing: S::Steep<1>,
+    /// −c·z2 − z1.
+    z2_rate: S::Gains<2>,
+    /// Armature voltage of the speed and the current, of the errors z1 and z2, of the reference's jerk, and of the estimates d̂
+    /// and ζ̂2/k2.
+    held: S::Steep<2>,
+    errors: S::Steep<2>,
+    jerk: S::Steep<1>,
+    disturbance: S::Gains<1>,
+    lumped: S::Steep<1>,
 }
 
 impl<S: Scalar> Backstepping<S> {
     /// `ranges` bound what the law will see; gains with which its arithmetic could overflow are refused.
-    pub fn new(motor: &Coefficients, gains: &Gains, ranges: &Ranges) -> Result<Self, ConfigError> {
+    pub fn new(
+        motor: &Coefficients,
+        gains: &Gains,
+        ranges: &Ranges,
+        bases: &Bases,
+    ) -> Result<Self, ConfigError> {
         let &Coefficients { a1, a2, a3, a4, inductance, .. } = motor;
         let &Gains { c, k1, k2, .. } = gains;
         // La/a2: the voltage that changes a2·i by 1 rad/s² in a second.
@@ -69,38 +72,38 @@ impl<S: Scalar> Backstepping<S> {
             "must keep the voltage that the law can ask for below 1e15 V",
             largest_voltage,
         )?;
+        let &Bases { speed: w, acceleration: a, jerk: j, current: i, voltage: v, .. } = bases;
+        let field = "gains.c";
+        // What fixed point can hold of z2.
+        S::constant(field, z2_range, a)?;
         Ok(Self {
-            a1: S::gain(-a1),
-            a2: S::gain(a2),
-            c: S::gain(c),
-            voltage: VoltageGains {
-                speed: S::gain(speed),
-                current: S::gain(current),
-                z1: S::gain(z1),
-                z2: S::gain(z2),
-                jerk: S::gain(volts),
-                disturbance: S::gain(disturbance),
-                lumped: S::gain(lumped),
-            },
+            modelled: S::steep("motor", [(a2, i), (-a1, w)], a)?,
+            closing: S::steep(field, [(c, w)], a)?,
+            z2_rate: S::gains(field, [(-c, a), (-1.0, w)], j)?,
+            held: S::steep("motor", [(speed, w), (current, i)], v)?,
+            errors: S::steep(field, [(z1, w), (z2, a)], v)?,
+            jerk: S::steep("motor", [(volts, j)], v)?,
+            disturbance: S::gains("motor", [(disturbance, a)], v)?,
+            lumped: S::steep("gains.k2", [(lumped, Base::RATIO)], v)?,
         })
     }
 
     /// The acceleration that the motor's model gives without load, −a1·ω + a2·i (rad/s²).
     #[inline]
     pub fn modelled_acceleration(&self, speed: S, current: S) -> S {
-        S::combine([(self.a2, current), (self.a1, speed)])
+        S::amplify(&self.modelled, [current, speed])
     }
 
     /// The second error z2 (rad/s²).
     #[inline]
     pub fn z2(&self, z1: S, modelled: S, reference: &Reference<S>, disturbance: S) -> S {
-        S::combine([(self.c, z1)]) + (modelled - reference.acceleration) + disturbance
+        S::amplify(&self.closing, [z1]) + (modelled - reference.acceleration) + disturbance
     }
 
     /// The rate that z2 is to have, −c·z2 − z1 (rad/s³).
     #[inline]
     pub fn z2_rate(&self, z1: S, z2: S) -> S {
-        -S::combine([(self.c, z2)]) - z1
+        S::combine(&self.z2_rate, [z2, z1])
     }
 
     /// The armature voltage u (V); `lumped` is ζ̂2/k2 = −u2/k2.
@@ -112,15 +115,11 @@ impl<S: Scalar> Backstepping<S> {
         reference: &Reference<S>,
         (disturbance, lumped): (S, S),
     ) -> S {
-        S::combine([
-            (self.voltage.speed, speed),
-            (self.voltage.current, current),
-            (self.voltage.z1, z1),
-            (self.voltage.z2, z2),
-            (self.voltage.jerk, reference.jerk),
-            (self.voltage.disturbance, disturbance),
-            (self.voltage.lumped, lumped),
-        ])
+        S::amplify(&self.held, [speed, current])
+            + S::amplify(&self.errors, [z1, z2])
+            + S::amplify(&self.jerk, [reference.jerk])
+            + S::combine(&self.disturbance, [disturbance])
+            + S::amplify(&self.lumped, [lumped])
     }
 }
 
@@ -148,7 +147,7 @@ mod tests {
             .expect("valid");
             let gains = Gains { c, ..Gains::PAPER };
             let ranges = Ranges { speed: 400.0, current: 40.0, current_command: 30.0 };
-            let law = Backstepping::<f32>::new(&motor, &gains, &ranges).expect("valid");
+            let law = Backstepping::<f32>::new(&motor, &gains, &ranges, &Bases::NONE).expect("valid");
             let (speed, current) = (100.0 * speed, 10.0 * current);
             let reference = Reference {
                 speed: 100.0 * wanted,

@@ -1,8 +1,8 @@
 //! One channel of an estimator: what a measured signal does beyond its model.
 
 use crate::config::{ConfigError, require};
-use crate::control::injection::Injection;
-use crate::math::{Scalar, atanh};
+use crate::control::injection::{Injection, MAX_BETA};
+use crate::math::{Base, Scalar, atanh};
 use serde::{Deserialize, Serialize};
 
 /// How a channel's differential equation is stepped at the PWM rate.
@@ -49,6 +49,8 @@ pub(super) struct ChannelConfig {
     pub start: Start,
     /// Largest mismatch that is remembered (signal).
     pub range: f32,
+    /// Of the signal and of its rate.
+    pub bases: [Base; 2],
 }
 
 /// Watches a signal whose derivative is a modelled rate plus an unknown one, and tells the unknown one.
@@ -68,24 +70,26 @@ pub(super) struct Channel<S: Scalar> {
     /// The injection g, within ±1.
     value: S,
     /// Time that the rate at a sample counts in the mismatch there, negative (s).
-    time_now: S::Gain,
+    time_now: S::Gains<1>,
     /// Time that the rate at a sample counts in the mismatch at the next, negative (s).
-    time_after: S::Gain,
-    correction: S::Gain,
+    time_after: S::Gains<1>,
+    correction: S::Gains<1>,
     limit: S,
     injection: Injection<S>,
-    reach: S::Gain,
+    reach: S::Gains<1>,
     start: Start,
     layer: f32,
     beta: f32,
+    base: Base,
 }
 
 impl<S: Scalar> Channel<S> {
     pub fn new(config: &ChannelConfig) -> Result<Self, ConfigError> {
         let ChannelConfig { strength, layer, layer_field, period, horizon, range, .. } = *config;
+        let [base, of_rate] = config.bases;
         let beta = horizon * strength / layer;
         require(
-            beta <= Injection::<S>::MAX_BETA,
+            beta <= MAX_BETA,
             layer_field,
             "must be larger: strength·horizon/layer may be 2000 at most",
             layer,
@@ -107,15 +111,16 @@ impl<S: Scalar> Channel<S> {
             memory: S::ZERO,
             mismatch: S::ZERO,
             value: S::ZERO,
-            time_now: S::gain(-weight_now * period),
-            time_after: S::gain((weight_now - 1.0) * period),
-            correction: S::gain(-correction),
-            limit: S::from_f32(range + beta * layer),
-            injection: Injection::new(beta, layer),
-            reach: S::gain(-beta * layer),
+            time_now: S::gains(layer_field, [(-weight_now * period, of_rate)], base)?,
+            time_after: S::gains(layer_field, [((weight_now - 1.0) * period, of_rate)], base)?,
+            correction: S::gains(layer_field, [(-correction, Base::RATIO)], base)?,
+            limit: S::constant(layer_field, range + beta * layer, base)?,
+            injection: Injection::new(layer_field, beta, layer, base)?,
+            reach: S::gains(layer_field, [(-beta * layer, Base::RATIO)], base)?,
             start: config.start,
             layer,
             beta,
+            base,
         })
     }
 
@@ -125,34 +130,35 @@ impl<S: Scalar> Channel<S> {
             Start::Matched => signal,
             Start::Zero => S::ZERO,
         };
-        self.memory = -S::combine([(self.time_now, rate)]);
+        self.memory = -S::combine(&self.time_now, [rate]);
     }
 
     /// Starts at a sample so that the first step gives the injection `value`, within ±0.99. Gives that.
     pub fn resume(&mut self, signal: S, rate: S, value: f32) -> S {
         self.before = signal;
-        self.memory = -S::combine([(self.time_now, rate)]);
+        self.memory = -S::combine(&self.time_now, [rate]);
         let value = value.clamp(-0.99, 0.99);
         // y + β·ε·tanh(y/ε) = σ.
         let mismatch = self.layer * (atanh(value) + self.beta * value);
-        self.memory = self.memory + S::from_f32(mismatch);
-        S::from_f32(value)
+        self.memory = self.memory + S::from_f32(mismatch, self.base);
+        S::from_f32(value, Base::RATIO)
     }
 
     /// One step: the signal and its modelled rate at this sample → the injection g, within ±1.
     #[inline]
     pub fn step(&mut self, signal: S, rate: S) -> S {
-        let growth = (signal - self.before) + S::combine([(self.time_now, rate)]);
+        let growth = (signal - self.before) + S::combine(&self.time_now, [rate]);
         self.mismatch = (self.memory + growth).limited(self.limit);
         self.value = self.injection.value(self.mismatch);
         self.before = signal;
-        self.memory =
-            self.mismatch + S::combine([(self.time_after, rate), (self.correction, self.value)]);
+        self.memory = self.mismatch
+            + S::combine(&self.time_after, [rate])
+            + S::combine(&self.correction, [self.value]);
         self.value
     }
 
     /// The sliding variable y, for which the injection is k·tanh(y/ε), in the signal's unit.
     pub fn sliding_variable(&self) -> S {
-        self.mismatch + S::combine([(self.reach, self.value)])
+        self.mismatch + S::combine(&self.reach, [self.value])
     }
 }

@@ -19,7 +19,8 @@ use super::super::Timing;
 use super::channel::{Channel, ChannelConfig, Start};
 use super::config::{Law, PaperConfig};
 use crate::config::ConfigError;
-use crate::math::Scalar;
+use crate::math::{Base, Scalar};
+use crate::per_unit::Bases;
 use crate::trajectory::Reference;
 
 /// Estimator of the disturbance and of the lumped uncertainty of the second backstepping error.
@@ -27,10 +28,11 @@ use crate::trajectory::Reference;
 #[repr(C)] // What every step loads comes first, in reach of short loads.
 pub(super) struct Estimator<S: Scalar> {
     /// How much of the reference's motion is taken off what the first channel watches: nothing (QSMDO) or all (QISMC).
-    share: S::Gain,
-    k1: S::Gain,
+    share: S::Gains<1>,
+    k1: S::Gains<1>,
     /// k1 once more (rad/s²).
     strength: f32,
+    acceleration: Base,
     first: Channel<S>,
     second: Channel<S>,
 }
@@ -41,7 +43,9 @@ impl<S: Scalar> Estimator<S> {
         config: &PaperConfig,
         timing: &Timing,
         (speed_range, z2_range): (f32, f32),
+        bases: &Bases,
     ) -> Result<Self, ConfigError> {
+        let &Bases { speed, acceleration, jerk, .. } = bases;
         let gains = &config.gains;
         let period = timing.period();
         let (share, start) = match config.law {
@@ -58,6 +62,7 @@ impl<S: Scalar> Estimator<S> {
             form: config.form,
             start,
             range: speed_range,
+            bases: [speed, acceleration],
         };
         let second = ChannelConfig {
             strength: gains.k2,
@@ -66,12 +71,14 @@ impl<S: Scalar> Estimator<S> {
             horizon: timing.horizon(),
             observer: false,
             range: z2_range,
+            bases: [acceleration, jerk],
             ..first
         };
         Ok(Self {
-            share: S::gain(share),
-            k1: S::gain(gains.k1),
+            share: S::gains("law", [(share, speed)], speed)?,
+            k1: S::gains("gains.k1", [(gains.k1, Base::RATIO)], acceleration)?,
             strength: gains.k1,
+            acceleration,
             first: Channel::new(&first)?,
             second: Channel::new(&second)?,
         })
@@ -98,8 +105,9 @@ impl<S: Scalar> Estimator<S> {
         disturbance: S,
     ) -> S {
         let (signal, rate) = self.watched(speed, modelled, reference);
-        let value = self.first.resume(signal, rate, disturbance.to_f32() / self.strength);
-        S::combine([(self.k1, value)])
+        let value =
+            self.first.resume(signal, rate, disturbance.to_f32(self.acceleration) / self.strength);
+        S::combine(&self.k1, [value])
     }
 
     /// Starts the second channel with nothing to tell; arguments as for [`lumped`](Self::lumped).
@@ -111,7 +119,7 @@ impl<S: Scalar> Estimator<S> {
     #[inline]
     pub fn disturbance(&mut self, speed: S, modelled: S, reference: &Reference<S>) -> S {
         let (signal, rate) = self.watched(speed, modelled, reference);
-        S::combine([(self.k1, self.first.step(signal, rate))])
+        S::combine(&self.k1, [self.first.step(signal, rate)])
     }
 
     /// ζ̂2/k2 = −u2/k2, within ±1, from z2 and the rate −c·z2 − z1 that it is to have.
@@ -124,8 +132,8 @@ impl<S: Scalar> Estimator<S> {
     #[inline]
     fn watched(&self, speed: S, modelled: S, reference: &Reference<S>) -> (S, S) {
         (
-            speed - S::combine([(self.share, reference.speed)]),
-            modelled - S::combine([(self.share, reference.acceleration)]),
+            speed - S::combine(&self.share, [reference.speed]),
+            modelled - S::combine(&self.share, [reference.acceleration]),
         )
     }
 

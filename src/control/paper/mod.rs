@@ -34,7 +34,7 @@ pub(crate) struct Paper<S: Scalar> {
 
 impl<S: Scalar> Paper<S> {
     pub fn new(config: &PaperConfig, setting: &Setting) -> Result<Self, ConfigError> {
-        let &Setting { motor, timing, shaft, ranges } = setting;
+        let &Setting { motor, timing, shaft, ranges, bases } = setting;
         let gains = &config.gains;
         gains.check()?;
         require(
@@ -43,15 +43,15 @@ impl<S: Scalar> Paper<S> {
             "must be at most 0.4 of 1/horizon, the horizon being a period, or two with the delay",
             gains.c,
         )?;
-        let law = Backstepping::new(motor, gains, ranges)?;
+        let law = Backstepping::new(motor, gains, ranges, bases)?;
         let estimator = match config.law {
             Law::Backstepping => None,
             Law::Qsmdo | Law::Qismc => {
                 let ranges = (speed_error_range(ranges), z2_range(ranges, motor, gains));
-                Some(Estimator::new(config, timing, ranges)?)
+                Some(Estimator::new(config, timing, ranges, bases)?)
             }
         };
-        let speed = SpeedEstimator::new(&config.speed, shaft)?;
+        let speed = SpeedEstimator::new(&config.speed, shaft, bases)?;
         Ok(Self { last: Signals::NONE, speed, acceleration: S::ZERO, law, estimator })
     }
 

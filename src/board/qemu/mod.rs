@@ -1,33 +1,35 @@
-//! QEMU's Arm MPS2 boards (mps2-an386: Cortex-M4F, mps2-an500: Cortex-M7) as a drive's board.
+//! QEMU's boards as a drive's board: Arm's MPS2 (mps2-an386: Cortex-M4F, mps2-an500: Cortex-M7, mps2-an385: Cortex-M3) and the BBC
+//! micro:bit (Cortex-M0). Cores without an FPU compute in fixed point.
 //!
 //! There is no motor: the sample of each period comes in over the serial port from a host that plays it, and the command
 //! goes out the same way ([`crate::protocol`]). A timer's interrupt paces the loop as a PWM timer would.
-//!
-//! Registers after Arm's *CMSDK Technical Reference Manual* (DDI 0479), addresses after *Application Note AN386*; both
-//! boards have the same. Used here: UART0, TIMER0, the NVIC.
 #![allow(unsafe_code, reason = "memory-mapped registers")]
+
+#[cfg(feature = "microbit")]
+#[path = "nrf51.rs"]
+mod machine;
+#[cfg(not(feature = "microbit"))]
+#[path = "mps2.rs"]
+mod machine;
 
 use crate::drive::{Drive, DriveConfig};
 use crate::hal::{Board, BridgeCommand, Sample};
 use crate::protocol::{
-    MAGIC, Question, Record, Setup, VERSION, Verdict, codes_from_words, exact_from_words,
+    MAGIC, Question, Record, Setup, VERSION, Verdict, Word, codes_from_words, exact_from_words,
 };
 use crate::sense::Sensors;
 use core::cell::UnsafeCell;
 use cortex_m::peripheral::NVIC;
 use cortex_m_rt::exception;
+use machine::{Interrupt, Pacer, Port};
 
-/// Clock of the core and of the timers (Hz).
-const CLOCK: f32 = 25e6;
+/// What the drive computes in.
+#[cfg(target_abi = "eabihf")]
+type Signal = f32;
+#[cfg(not(target_abi = "eabihf"))]
+type Signal = crate::math::Q31;
 
-/// Interrupts that are used.
-#[derive(Clone, Copy)]
-enum Interrupt {
-    Uart0Receive = 0,
-    Timer0 = 8,
-}
-
-// SAFETY: the numbers are those of AN386, below the 32 that the boards have.
+// SAFETY: the numbers are below the 32 that every machine here has.
 unsafe impl cortex_m::interrupt::InterruptNumber for Interrupt {
     fn number(self) -> u16 {
         self as u16
@@ -39,65 +41,38 @@ struct Registers(*mut u32);
 
 impl Registers {
     fn read(&self, index: usize) -> u32 {
-        // SAFETY: the addresses and indices in this file are those of readable registers.
+        // SAFETY: the addresses and indices in this module are those of readable registers.
         unsafe { self.0.add(index).read_volatile() }
     }
 
     fn write(&self, index: usize, value: u32) {
-        // SAFETY: the addresses and indices in this file are those of writable registers.
+        // SAFETY: the addresses and indices in this module are those of writable registers.
         unsafe { self.0.add(index).write_volatile(value) }
     }
 }
 
-const UART0: Registers = Registers(0x4000_4000 as *mut u32);
-const TIMER0: Registers = Registers(0x4000_0000 as *mut u32);
-
-/// Words over UART0, one byte at a time.
+/// Words over the serial port, one byte at a time.
 struct Serial;
 
 impl Serial {
-    const DATA: usize = 0;
-    const STATE: usize = 1;
-    const CONTROL: usize = 2;
-    const INTERRUPT: usize = 3;
-    const BAUD_DIVISOR: usize = 4;
-
-    const STATE_TRANSMIT_FULL: u32 = 1 << 0;
-    const STATE_RECEIVE_FULL: u32 = 1 << 1;
-    const CONTROL_TRANSMIT: u32 = 1 << 0;
-    const CONTROL_RECEIVE: u32 = 1 << 1;
-    const CONTROL_RECEIVE_INTERRUPT: u32 = 1 << 3;
-    const INTERRUPT_RECEIVE: u32 = 1 << 1;
-
     /// Switches the port on. Its interrupt is there to wake the core from its wait for a byte.
     fn start() -> Self {
-        // The fastest divisor: QEMU does not model the baud rate.
-        UART0.write(Self::BAUD_DIVISOR, 16);
-        UART0.write(
-            Self::CONTROL,
-            Self::CONTROL_TRANSMIT | Self::CONTROL_RECEIVE | Self::CONTROL_RECEIVE_INTERRUPT,
-        );
+        Port::start();
         // SAFETY: its handler shares nothing with anyone but a flag of the port that it clears.
-        unsafe { NVIC::unmask(Interrupt::Uart0Receive) };
+        unsafe { NVIC::unmask(Interrupt::Serial) };
         Self
     }
 
     fn read_byte(&mut self) -> u8 {
         // Asleep rather than polling, which would keep QEMU from delivering the byte.
         cortex_m::interrupt::free(|_| {
-            while UART0.read(Self::STATE) & Self::STATE_RECEIVE_FULL == 0 {
-                cortex_m::asm::wfi();
+            while !Port::has_byte() {
+                Port::wait();
             }
-            let byte = UART0.read(Self::DATA);
-            UART0.write(Self::INTERRUPT, Self::INTERRUPT_RECEIVE);
-            NVIC::unpend(Interrupt::Uart0Receive);
-            byte as u8
+            let byte = Port::read_byte();
+            NVIC::unpend(Interrupt::Serial);
+            byte
         })
-    }
-
-    fn write_byte(&mut self, byte: u8) {
-        while UART0.read(Self::STATE) & Self::STATE_TRANSMIT_FULL != 0 {}
-        UART0.write(Self::DATA, byte.into());
     }
 
     fn read<const N: usize>(&mut self) -> [u32; N] {
@@ -106,38 +81,47 @@ impl Serial {
 
     fn write<const N: usize>(&mut self, words: [u32; N]) {
         for byte in words.into_iter().flat_map(u32::to_le_bytes) {
-            self.write_byte(byte);
+            Port::write_byte(byte);
         }
     }
 }
 
 /// The board, seen from the drive: this period's sample, and where its command goes.
 struct Exchange {
-    sample: Sample<f32>,
-    command: BridgeCommand<f32>,
+    sample: Sample<Signal>,
+    command: BridgeCommand<Signal>,
 }
 
-impl Board<f32> for Exchange {
-    fn sample(&mut self) -> Sample<f32> {
+impl Board<Signal> for Exchange {
+    fn sample(&mut self) -> Sample<Signal> {
         self.sample
     }
 
-    fn apply(&mut self, command: BridgeCommand<f32>) {
+    fn apply(&mut self, command: BridgeCommand<Signal>) {
         self.command = command;
     }
 }
 
 /// What the timer's interrupt works on.
 struct Loop {
-    drive: Drive<f32>,
+    drive: Drive<Signal>,
     /// What the host's samples are.
     sensors: Sensors,
     serial: Serial,
     pacer: Pacer,
-    record: Record,
+    record: Record<Signal>,
 }
 
 impl Loop {
+    /// An armed drive.
+    fn new(config: &DriveConfig) -> Option<Self> {
+        let mut drive = Drive::new(config).ok()?;
+        drive.arm().ok()?;
+        let record = Record { command: BridgeCommand::Off, mode: drive.mode(), telemetry: None };
+        let pacer = Pacer::new(config.timing.rate);
+        Some(Self { drive, sensors: config.sensors, serial: Serial, pacer, record })
+    }
+
     /// One period: answers the host's questions up to and including its sample.
     fn period(&mut self) {
         loop {
@@ -187,71 +171,39 @@ fn calibration() {
 pub fn run() -> ! {
     calibration();
     let mut serial = Serial::start();
-    let (drive, config) = loop {
-        if let Some(accepted) = set_up(&mut serial) {
-            break accepted;
-        }
-    };
-    let record = Record { command: BridgeCommand::Off, mode: drive.mode(), telemetry: None };
-    let pacer = Pacer::new(config.timing.rate);
-    pacer.start();
-    // SAFETY: the timer's interrupt, the only other user, is still masked.
-    unsafe { *LOOP.0.get() = Some(Loop { drive, sensors: config.sensors, serial, pacer, record }) };
+    while !set_up(&mut serial) {}
     enable_interrupt();
     loop {
         cortex_m::asm::wfi();
     }
 }
 
-/// Answers a setup; gives the armed drive and its configuration if it is accepted.
-fn set_up(serial: &mut Serial) -> Option<(Drive<f32>, DriveConfig)> {
+/// Answers a setup; tells whether it was accepted, and the loop is ready.
+// Not inlined: where RAM is short, a drive has no room on the stack while another one is built.
+#[inline(never)]
+fn set_up(serial: &mut Serial) -> bool {
     let [magic, version] = serial.read();
     let answer = |serial: &mut Serial, verdict: Verdict| {
-        serial.write([MAGIC, VERSION, verdict as u32]);
+        serial.write([MAGIC, VERSION, verdict as u32, Signal::NAME]);
     };
     if magic != MAGIC || version != VERSION {
         defmt::error!("host speaks protocol {=u32}, this is {=u32}", version, VERSION);
         answer(serial, Verdict::WrongVersion);
-        return None;
+        return false;
     }
-    let built = Setup::from_words(serial.read()).and_then(|Setup(config)| {
-        let mut drive = Drive::new(&config).ok()?;
-        drive.arm().ok()?;
-        Some((drive, config))
-    });
-    answer(serial, if built.is_some() { Verdict::Accepted } else { Verdict::Refused });
-    match &built {
-        Some((_, config)) => defmt::info!("drive armed, {=f32} Hz", config.timing.rate),
-        None => defmt::error!("setup refused"),
-    }
-    built
-}
-
-/// The timer that stands for the PWM timer.
-struct Pacer {
-    /// Clock cycles in a period.
-    cycles: u32,
-}
-
-impl Pacer {
-    const CONTROL: usize = 0;
-    const VALUE: usize = 1;
-    const RELOAD: usize = 2;
-    const INTERRUPT_CLEAR: usize = 3;
-    const ENABLE_WITH_INTERRUPT: u32 = 1 << 0 | 1 << 3;
-
-    /// For a rate (Hz).
-    fn new(rate: f32) -> Self {
-        Self { cycles: (CLOCK / rate) as u32 }
-    }
-
-    /// Starts a period. The timer counts it down once: while the host plays the motor, no further periods pass.
-    fn start(&self) {
-        TIMER0.write(Self::INTERRUPT_CLEAR, 1);
-        TIMER0.write(Self::RELOAD, u32::MAX);
-        TIMER0.write(Self::VALUE, self.cycles);
-        TIMER0.write(Self::CONTROL, Self::ENABLE_WITH_INTERRUPT);
-    }
+    let Some(config) = Setup::from_words(serial.read()).and_then(|Setup(config)| {
+        // SAFETY: the timer's interrupt, the only other user, is still masked.
+        unsafe { *LOOP.0.get() = Some(Loop::new(&config)?) };
+        Some(config)
+    }) else {
+        defmt::error!("setup refused");
+        answer(serial, Verdict::Refused);
+        return false;
+    };
+    Pacer::new(config.timing.rate).start();
+    answer(serial, Verdict::Accepted);
+    defmt::info!("drive armed, {=f32} Hz", config.timing.rate);
+    true
 }
 
 /// Enables the timer's interrupt.
@@ -260,13 +212,13 @@ fn enable_interrupt() {
     // interrupt must be able to wake the handler's wait for a byte.
     unsafe {
         let mut nvic = cortex_m::Peripherals::steal().NVIC;
-        nvic.set_priority(Interrupt::Timer0, 0x40);
-        NVIC::unmask(Interrupt::Timer0);
+        nvic.set_priority(Interrupt::Timer, 0x40);
+        NVIC::unmask(Interrupt::Timer);
     }
 }
 
 /// The PWM-rate interrupt.
-extern "C" fn timer0() {
+extern "C" fn timer() {
     // SAFETY: since the interrupt is enabled, it is the only user, and it does not nest.
     if let Some(control_loop) = unsafe { &mut *LOOP.0.get() } {
         control_loop.pacer.start();
@@ -275,8 +227,8 @@ extern "C" fn timer0() {
 }
 
 /// A byte came while nobody waited: it stays in the port until it is read.
-extern "C" fn uart0_receive() {
-    UART0.write(Serial::INTERRUPT, Serial::INTERRUPT_RECEIVE);
+extern "C" fn serial() {
+    Port::quieten();
 }
 
 /// An entry of the vector table.
@@ -295,8 +247,8 @@ extern "C" fn unused() {
 #[unsafe(no_mangle)]
 pub static __INTERRUPTS: [Vector; 32] = {
     let mut vectors = [const { Vector { handler: unused } }; 32];
-    vectors[Interrupt::Uart0Receive as usize] = Vector { handler: uart0_receive };
-    vectors[Interrupt::Timer0 as usize] = Vector { handler: timer0 };
+    vectors[Interrupt::Serial as usize] = Vector { handler: serial };
+    vectors[Interrupt::Timer as usize] = Vector { handler: timer };
     vectors
 };
 

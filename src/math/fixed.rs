@@ -1,0 +1,318 @@
+//! Fixed point: signals in 2⁻³¹ of their base, for cores without an FPU.
+//!
+//! **No overflow.** Bases ([`crate::per_unit`]) leave every signal that a sample or a command can cause below a quarter of full
+//! scale. Gains of a sum come to 1 at most, so the sum stays within its largest signal; sums with larger gains saturate at a
+//! quarter. No more than four such are added before a limit or the next gain. What is remembered is limited. Additions are the
+//! plain ones: tests, where they are checked, would panic.
+//!
+//! **Rounding.** A gain is rounded to 16 bits with its sum's largest: a core without long products (Cortex-M0) takes two
+//! multiplications for one. The bases make gains that must be exact — of the clock, of counts — powers of two. A sum of
+//! products is exact, and then rounded down once.
+
+use super::table::{Curve, rising_parabola};
+use super::{Base, Scalar, log2_ceil, power_of_two, sum_of_floors};
+use crate::config::{ConfigError, require};
+use core::ops::{Add, Neg, Sub};
+
+/// A signal in 2⁻³¹ of its [`Base`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Q31(pub i32);
+
+/// Full scale.
+const SCALE: f32 = (1_u64 << 31) as f32;
+
+/// Where what has large gains saturates.
+const QUARTER: i32 = 1 << 29;
+
+/// Largest sum of a row's mantissas, for gains of 1 in all.
+const MANTISSAS: f32 = 32_768.0;
+
+/// Gains of a sum: mantissa/2¹⁵/2^shift.
+#[derive(Clone, Copy, Debug)]
+#[repr(C)]
+pub struct Gains<const N: usize> {
+    mantissas: [i32; N],
+    /// Half of what `shift` takes.
+    half: i32,
+    shift: u32,
+}
+
+/// Gains of any size: mantissa/2¹⁵·2^up/2^down, where one of both is 0.
+#[derive(Clone, Copy, Debug)]
+#[repr(C)]
+pub struct Steep<const N: usize> {
+    mantissas: [i32; N],
+    /// Half of what `down` takes.
+    half: i32,
+    down: u32,
+    /// [`QUARTER`]/2^up.
+    limit: i32,
+    up: u32,
+}
+
+/// A table of equal segments, each 2¹⁶ wide in the position.
+#[derive(Clone, Debug)]
+#[repr(C)]
+pub struct Table {
+    per_unit: Steep<1>,
+    segments: [Segment; SEGMENTS],
+}
+
+#[derive(Clone, Copy, Debug)]
+#[repr(C)]
+struct Segment {
+    /// Value at the left end, in 2⁻³⁰.
+    value: i32,
+    /// Slope there, in 2⁻¹⁹ per segment.
+    slope: u16,
+    /// And what it changes.
+    curvature: i16,
+}
+
+/// Segments of a table; the last is the constant 1.
+const SEGMENTS: usize = 64;
+
+/// The base of positions.
+const POSITION: Base = Base(32_768.0);
+
+/// 1 as a [ratio](Base::RATIO).
+const ONE: i32 = 1 << 30;
+
+/// ⌊Σ mantissa·signal/2¹⁵⌋ by long products.
+#[inline]
+#[cfg_attr(short_products, allow(dead_code, reason = "the other one is for this core"))]
+fn long<const N: usize>(mantissas: &[i32; N], signals: [Q31; N]) -> i32 {
+    let products = mantissas.iter().zip(signals);
+    let sum: i64 = products
+        .fold(0, |sum, (&mantissa, Q31(signal))| sum + i64::from(mantissa) * i64::from(signal));
+    (sum >> 15) as i32
+}
+
+/// The same by products of 32 bits.
+#[inline]
+#[cfg_attr(not(short_products), allow(dead_code, reason = "for cores without long products"))]
+fn short<const N: usize>(mantissas: &[i32; N], signals: [Q31; N]) -> i32 {
+    let products = mantissas.iter().zip(signals);
+    let (high, low) = products.fold((0_i32, 0_i32), |(high, low), (&mantissa, Q31(signal))| {
+        let upper = (signal >> 16).wrapping_mul(mantissa);
+        let lower = (signal & 0xffff).wrapping_mul(mantissa);
+        (high.wrapping_add(upper), low.wrapping_add(lower))
+    });
+    (high << 1).wrapping_add(low >> 15)
+}
+
+#[cfg(not(short_products))]
+use long as sum_of_products;
+#[cfg(short_products)]
+use short as sum_of_products;
+
+/// Mantissas in 2^(exponent − 15), with the least exponent.
+fn normalised<const N: usize>(gains: [(f32, Base); N], to: Base) -> ([i32; N], i32) {
+    let gains = gains.map(|(gain, base)| gain * (base.0 / to.0));
+    let total: f32 = gains.iter().map(|gain| gain.abs()).sum();
+    if total == 0.0 {
+        return ([0; N], 0);
+    }
+    let mut exponent = log2_ceil(total).max(-31);
+    loop {
+        let scale = MANTISSAS * power_of_two(-exponent);
+        let mantissas = gains.map(|gain| libm::roundf(gain * scale) as i32);
+        // Rounded up, they may come to more than their sum.
+        if mantissas.iter().map(|mantissa| mantissa.unsigned_abs()).sum::<u32>() <= 1 << 15 {
+            return (mantissas, exponent);
+        }
+        exponent += 1;
+    }
+}
+
+/// Half of what a shift to the right takes: added before, it rounds to the nearest.
+fn half(shift: u32) -> i32 {
+    if shift == 0 { 0 } else { 1 << (shift - 1) }
+}
+
+/// Whether all gains are numbers; the first that is not, or the largest.
+fn checked<const N: usize>(gains: &[(f32, Base); N]) -> (bool, f32) {
+    let larger = |a: f32, b: f32| if b.is_finite() && b.abs() < a.abs() { a } else { b };
+    let largest = gains.iter().map(|(gain, _)| *gain).fold(0.0, larger);
+    (gains.iter().all(|(gain, _)| gain.is_finite()), largest)
+}
+
+impl Add for Q31 {
+    type Output = Self;
+    #[inline]
+    fn add(self, other: Self) -> Self {
+        Self(self.0 + other.0)
+    }
+}
+
+impl Sub for Q31 {
+    type Output = Self;
+    #[inline]
+    fn sub(self, other: Self) -> Self {
+        Self(self.0 - other.0)
+    }
+}
+
+impl Neg for Q31 {
+    type Output = Self;
+    #[inline]
+    fn neg(self) -> Self {
+        Self(-self.0)
+    }
+}
+
+impl Scalar for Q31 {
+    type Gains<const N: usize> = Gains<N>;
+    type Steep<const N: usize> = Steep<N>;
+    type Table = Table;
+
+    const ZERO: Self = Self(0);
+
+    fn from_f32(value: f32, base: Base) -> Self {
+        Self(libm::roundf(value / base.0 * SCALE) as i32)
+    }
+
+    fn to_f32(self, base: Base) -> f32 {
+        self.0 as f32 * (base.0 / SCALE)
+    }
+
+    fn constant(field: &'static str, value: f32, base: Base) -> Result<Self, ConfigError> {
+        let rule = "must be within the range of fixed point";
+        require(value.abs() <= 0.5 * base.0, field, rule, value)?;
+        Ok(Self::from_f32(value, base))
+    }
+
+    #[inline]
+    fn from_code(code: u16) -> Self {
+        Self(i32::from(code) << 15)
+    }
+
+    #[inline]
+    fn from_difference(difference: i16) -> Self {
+        Self(i32::from(difference) << 16)
+    }
+
+    fn gains<const N: usize>(
+        field: &'static str,
+        gains: [(f32, Base); N],
+        to: Base,
+    ) -> Result<Gains<N>, ConfigError> {
+        let (finite, largest) = checked(&gains);
+        let rule = "must keep the gains of fixed point within 1";
+        require(finite, field, rule, largest)?;
+        let (mantissas, exponent) = normalised(gains, to);
+        require(exponent <= 0, field, rule, largest)?;
+        let shift = exponent.unsigned_abs();
+        Ok(Gains { mantissas, half: half(shift), shift })
+    }
+
+    #[inline]
+    fn combine<const N: usize>(gains: &Gains<N>, signals: [Self; N]) -> Self {
+        Self((sum_of_products(&gains.mantissas, signals) + gains.half) >> (gains.shift & 31))
+    }
+
+    fn steep<const N: usize>(
+        field: &'static str,
+        gains: [(f32, Base); N],
+        to: Base,
+    ) -> Result<Steep<N>, ConfigError> {
+        let (finite, largest) = checked(&gains);
+        let rule = "must keep the gains of fixed point below 32768";
+        require(finite, field, rule, largest)?;
+        let (mantissas, exponent) = normalised(gains, to);
+        require(exponent <= 15, field, rule, largest)?;
+        let up = exponent.max(0) as u32;
+        let down = (-exponent).max(0) as u32;
+        Ok(Steep { mantissas, half: half(down), down, limit: QUARTER >> up, up })
+    }
+
+    #[inline]
+    fn amplify<const N: usize>(gains: &Steep<N>, signals: [Self; N]) -> Self {
+        let sum = (sum_of_products(&gains.mantissas, signals) + gains.half) >> (gains.down & 31);
+        Self(Self(sum).limited(Self(gains.limit)).0 << (gains.up & 31))
+    }
+
+    fn table(field: &'static str, curve: &Curve, base: Base) -> Result<Table, ConfigError> {
+        let width = curve.end / (SEGMENTS - 1) as f32;
+        let mut segments = [Segment { value: ONE, slope: 0, curvature: 0 }; SEGMENTS];
+        for (index, segment) in segments.iter_mut().enumerate().take(SEGMENTS - 1) {
+            let node = |position: f32| {
+                if position >= (SEGMENTS - 1) as f32 {
+                    1.0
+                } else {
+                    (curve.value)(position * width)
+                }
+            };
+            let left = index as f32;
+            let [value, slope, curvature] =
+                rising_parabola([node(left), node(left + 0.5), node(left + 1.0)]);
+            let [slope, curvature] = [slope, curvature].map(|x| libm::roundf(x * 524_288.0) as i32);
+            // Rounded, too, no slope must fall below zero.
+            let curvature = curvature.max(1 - slope) as i16;
+            *segment = Segment {
+                value: Self::from_f32(value, Base::RATIO).0,
+                slope: slope as u16,
+                curvature,
+            };
+        }
+        let per_unit = Self::steep(field, [(1.0 / (width * curve.unit), base)], POSITION)?;
+        Ok(Table { per_unit, segments })
+    }
+
+    #[inline]
+    fn look_up(table: &Table, signal: Self) -> Self {
+        let Self(position) = Self::amplify(&table.per_unit, [signal.abs()]);
+        let segment = &table.segments[((position >> 16) as usize).min(SEGMENTS - 1)];
+        let place = position & 0xffff;
+        let slope = i32::from(segment.slope) + ((place * i32::from(segment.curvature)) >> 16);
+        let value = segment.value + ((slope as u32).wrapping_mul(place as u32) >> 5) as i32;
+        let sign = signal.0 >> 31;
+        Self((value ^ sign) - sign)
+    }
+
+    #[inline]
+    fn mean_count(position: Self, step: Self) -> Self {
+        Self(sum_of_floors(position.0, step.0).wrapping_shl(12))
+    }
+
+    #[inline]
+    fn part(self, share: u8) -> Self {
+        Self(self.0.wrapping_mul(share.into()) >> 8)
+    }
+
+    fn fraction(self, numerator: i16, denominator: i16) -> Self {
+        let product = i64::from(self.0) * i64::from(numerator);
+        let quotient = product / i64::from(denominator).max(1);
+        Self(quotient.clamp((-QUARTER).into(), QUARTER.into()) as i32)
+    }
+
+    #[inline]
+    fn ratio(self, whole: Self, limit: Self) -> Self {
+        let share = (self.limited(whole).0 << 3) / (whole.0 >> 12).max(1);
+        Self(Self(share).limited(Self(limit.0 >> 15)).0 << 15)
+    }
+
+    #[inline]
+    fn of(self, whole: Self) -> Self {
+        Self(sum_of_products(&[self.0 >> 15], [whole]))
+    }
+
+    #[inline]
+    fn coarser(self, by: u32) -> Self {
+        Self(self.0 >> (by & 31))
+    }
+
+    fn is_finite(self) -> bool {
+        true
+    }
+
+    #[inline]
+    fn abs(self) -> Self {
+        Self(self.0.wrapping_abs())
+    }
+
+    #[inline]
+    fn limited(self, bound: Self) -> Self {
+        Self(self.0.max(-bound.0).min(bound.0))
+    }
+}

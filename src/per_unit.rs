@@ -1,0 +1,80 @@
+//! The bases of fixed point: what full scale is for each kind of signal.
+//!
+//! They follow from the motor's limits, the clock and the encoder alone, not from the controller, so that a controller can be
+//! changed in the middle of a run.
+//!
+//! **Headroom.** A measured speed or current is within its limit, or the sample is a fault before anything is computed from it; an
+//! estimated speed ends in a fault in the period in which it leaves the limit, and cannot have moved further than the encoder,
+//! which is within twice the limit. A sixteenth of full scale for the limit of the speed leaves the difference of two
+//! speeds, which jump from one end to the other, below a quarter. Currents have 64 times their limit, since what the
+//! voltage observer remembers is a current too, and voltages 16 times the highest bus.
+//!
+//! **Time.** Full scale of the speed is a power of two in counts per period, and each derivative's is the one before in eighths of
+//! the sampling rate: what the clock and the encoder multiply by is a power of two, without rounding. (A gain that is 2⁻¹⁶
+//! wrong there would be a steady error of the speed.)
+
+use crate::config::{ConfigError, positive};
+use crate::drive::DriveConfig;
+use crate::math::{Base, log2_ceil, power_of_two};
+use crate::sense::Sensors;
+
+/// The base of each kind of signal.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Bases {
+    /// Speeds (rad/s).
+    pub speed: Base,
+    /// Accelerations (rad/s²).
+    pub acceleration: Base,
+    /// Their rates (rad/s³).
+    pub jerk: Base,
+    /// What the shaft turns, in counts of the encoder, or in rad from exact sensors.
+    pub angle: Base,
+    /// Currents (A).
+    pub current: Base,
+    /// Voltages (V).
+    pub voltage: Base,
+    /// Torques (N·m).
+    pub torque: Base,
+}
+
+impl Bases {
+    /// Those of a drive. Refuses a configuration that the drive refuses for the same field.
+    pub fn new(config: &DriveConfig) -> Result<Self, ConfigError> {
+        let DriveConfig { motor, sensors, timing, limits, .. } = config;
+        timing.check()?;
+        limits.check()?;
+        let inertia = positive("motor.inertia", motor.inertia)?;
+        let rate = timing.rate;
+        // In rad.
+        let unit = sensors.shaft(timing.period()).unit.abs();
+        positive("sensors.counts_per_turn", unit)?;
+        let speed = unit * rate * power_of_two(log2_ceil(16.0 * limits.speed / (unit * rate)));
+        let acceleration = rate * speed / 64.0;
+        Ok(Self {
+            speed: Base(speed),
+            acceleration: Base(acceleration),
+            jerk: Base(rate * acceleration / 8.0),
+            angle: match sensors {
+                Sensors::Exact => Base(2.0 * speed / rate),
+                Sensors::Codes(_) => Base::COUNT,
+            },
+            current: Base(64.0 * limits.current),
+            voltage: Base(16.0 * limits.bus_max),
+            torque: Base(inertia * acceleration),
+        })
+    }
+}
+
+#[cfg(test)]
+impl Bases {
+    /// For floating point.
+    pub(crate) const NONE: Self = Self {
+        speed: Base(1.0),
+        acceleration: Base(1.0),
+        jerk: Base(1.0),
+        angle: Base(1.0),
+        current: Base(1.0),
+        voltage: Base(1.0),
+        torque: Base(1.0),
+    };
+}
