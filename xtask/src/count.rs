@@ -33,8 +33,22 @@ const GOLDEN: &str = "xtask/counts.txt";
 const ESTIMATORS: [&str; 3] =
     ["src/control/paper/estimator.rs", "src/control/paper/channel.rs", "src/control/injection.rs"];
 
-/// Parts of the names of functions for floating point, on cores that have no instructions for it.
-const SOFT_FLOAT: [&str; 4] = ["5float", "__aeabi_f", "__aeabi_cf", "libm"];
+/// Parts of the names of functions for floating point and long integers, on cores that have no instructions for them.
+const RUNTIME: [&str; 10] = [
+    "5float",
+    "__aeabi_f",
+    "__aeabi_cf",
+    "__aeabi_i2f",
+    "__aeabi_l",
+    "libm",
+    "fmaximum",
+    "fminimum",
+    "__divmoddi4",
+    "u64_div_rem",
+];
+
+/// Fixed point, as the debug information has it.
+const FIXED: &str = "quasidrive::math::fixed::Q31";
 
 /// A core that is counted on.
 struct Core {
@@ -103,7 +117,7 @@ fn table(cross: &Cross) -> Result<String> {
         let data = read(&cross.firmware(core.image)?)?;
         instructions(&core, &object::File::parse(&*data)?, &mut table)?;
     }
-    for (image, scalar) in [(Image::QEMU, "f32"), (Image::QEMU_M3, "Q31"), (Image::QEMU_M0, "Q31")]
+    for (image, scalar) in [(Image::QEMU, "f32"), (Image::QEMU_M3, FIXED), (Image::QEMU_M0, FIXED)]
     {
         writeln!(table, "\nbytes, {}", image.name)?;
         let data = read(&cross.firmware(image)?)?;
@@ -111,7 +125,7 @@ fn table(cross: &Cross) -> Result<String> {
         let code = Code::read(&elf)?;
         let name = format!("Drive<{scalar}>");
         let size = DebugInfo::read(&elf)?.size_of(&name)?;
-        let state = (format!("control core, state: {name}"), size);
+        let state = ("control core, state: Drive".to_owned(), size);
         let stack = ("control interrupt, stack".to_owned(), interrupt::reach(&code)?.stack);
         for (name, bytes) in sizes(&elf).into_iter().chain([state, stack]) {
             writeln!(table, "{name:<43} {bytes:>5}")?;
@@ -137,13 +151,13 @@ fn instructions(core: &Core, image: &object::File, table: &mut String) -> Result
 
     let code = Code::read(image)?;
     let estimators = estimators(&code, &DebugInfo::read(image)?, &paper)?;
-    // Arithmetic in floating point is for configuration, where it would fill the log: in the step it would be missed.
-    let is_float = |range: &Range<u64>| {
+    // They are for configuration, where they would fill the log; one that the step called would be missed and refused.
+    let is_runtime = |range: &Range<u64>| {
         let function = code.functions.get(&range.start);
-        function.is_some_and(|function| SOFT_FLOAT.iter().any(|part| function.name.contains(part)))
+        function.is_some_and(|function| RUNTIME.iter().any(|part| function.name.contains(part)))
     };
     let mut in_step = interrupt::called(&code, step.start)?;
-    in_step.retain(|range| !is_float(range));
+    in_step.retain(|range| !is_runtime(range));
     for (controller, scenario, law) in CONTROLLERS {
         let counted: Vec<&Range<u64>> = in_step.iter().chain([&calibration]).collect();
         let trace = Trace::record(controller, scenario, core, &counted, &code)?;
