@@ -8,7 +8,7 @@ use crate::config::ConfigError;
 use crate::control::{ControlConfig, Controller, Decision, Ranges, Setting, Signals, Timing};
 use crate::hal::{Board, BridgeCommand, Sample};
 pub use crate::limits::Limits;
-use crate::math::{Base, Scalar};
+use crate::math::{Base, Scalar, log2_ceil};
 use crate::motor::MotorParameters;
 use crate::per_unit::Bases;
 use crate::sense::{Measured, Rotation, Sensing, Sensors};
@@ -133,10 +133,12 @@ pub struct Drive<S: Scalar> {
     /// Steps in a row beyond the model.
     mismatched: u32,
     mismatch_limit: S,
-    back_emf: S::Steep<1>,
+    back_emf: S::Gains<1>,
     /// Ra·i + Kb·ω.
-    modelled: S::Steep<2>,
+    modelled: S::Gains<2>,
     minus_inertia: S::Gains<1>,
+    /// The highest bus is 2⁻`headroom` of the base of voltages.
+    headroom: u32,
     bases: Bases,
 }
 
@@ -186,7 +188,8 @@ impl<S: Scalar> Drive<S> {
             controller,
             sensing: Sensing::new(&config.sensors, limits, timing.rate, &bases)?,
             shaper: Shaper::new(config.shape, timing.rate, &bases)?,
-            duty_limit: S::from_f32(limits.duty, Base::RATIO),
+            // Less by what rounding may add to the quotient.
+            duty_limit: S::from_f32(limits.duty * (1.0 - 2.0 * f32::EPSILON), Base::RATIO),
             speed_limit: S::from_f32(limits.speed, speed),
             advance_limit: S::from_f32(advance, angle),
             current_limit: S::from_f32(limits.current, current),
@@ -201,9 +204,10 @@ impl<S: Scalar> Drive<S> {
                 * timing.rate) as u32,
             mismatched: 0,
             mismatch_limit: S::from_f32(MODEL_SHARE * limits.bus_max, voltage),
-            back_emf: S::steep("motor.back_emf_constant", [(back_emf_constant, speed)], voltage)?,
-            modelled: S::steep("motor", modelled, voltage)?,
+            back_emf: S::gains("motor.back_emf_constant", [(back_emf_constant, speed)], voltage)?,
+            modelled: S::gains("motor", modelled, voltage)?,
             minus_inertia: S::gains("motor.inertia", [(-inertia, acceleration)], torque)?,
+            headroom: log2_ceil(voltage.0 / limits.bus_max) as u32,
             bases,
         })
     }
@@ -295,15 +299,14 @@ impl<S: Scalar> Drive<S> {
         if exhausted > self.authority_steps && self.controller.stuck() {
             return self.refuse(Fault::BeyondAuthority);
         }
-        let modelled = S::amplify(&self.modelled, [measured.current, speed]);
+        let modelled = S::combine(&self.modelled, [measured.current, speed]);
         let is_mismatched = (self.voltage - modelled).abs() > self.mismatch_limit;
         self.mismatched = if is_mismatched { self.mismatched.wrapping_add(1) } else { 0 };
         if self.mismatched > self.mismatch_steps {
             return self.refuse(Fault::ModelMismatch);
         }
-        let duty = voltage.ratio(measured.bus_voltage, self.duty_limit);
-        self.voltage = duty.of(measured.bus_voltage);
-        BridgeCommand::Duty(duty)
+        self.voltage = voltage.limited(self.duty_limit.of(measured.bus_voltage));
+        BridgeCommand::Duty(self.voltage.ratio(measured.bus_voltage, self.headroom))
     }
 
     /// Follows the motor with the bridge off or, once armed, starts from what was followed: without a jump of reference,
@@ -334,7 +337,7 @@ impl<S: Scalar> Drive<S> {
             return Some(measured);
         }
         self.shaper.reset(self.idle_speed);
-        self.voltage = S::amplify(&self.back_emf, [self.idle_speed]);
+        self.voltage = S::combine(&self.back_emf, [self.idle_speed]);
         self.controller.start(&measured, self.shaper.clone().advance());
         Some(measured)
     }

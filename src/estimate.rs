@@ -38,7 +38,7 @@ pub(crate) enum SpeedEstimator<S: Scalar> {
 pub(crate) struct Difference<S: Scalar> {
     speed: S,
     rate: S::Steep<1>,
-    share: S::Gains<1>,
+    share: S::Steep<1>,
 }
 
 impl<S: Scalar> SpeedEstimator<S> {
@@ -60,7 +60,7 @@ impl<S: Scalar> SpeedEstimator<S> {
                         [(shaft.unit / period, bases.angle)],
                         bases.speed,
                     )?,
-                    share: S::gains(
+                    share: S::steep(
                         "control.speed.bandwidth",
                         [(share, bases.speed)],
                         bases.speed,
@@ -92,7 +92,7 @@ impl<S: Scalar> SpeedEstimator<S> {
             Self::Exact => measured.speed,
             Self::Difference(Difference { speed, rate, share }) => {
                 let difference = S::amplify(rate, [measured.rotation.advance]);
-                *speed = *speed + S::combine(share, [difference - *speed]);
+                *speed = *speed + S::amplify(share, [difference - *speed]);
                 *speed
             }
             Self::Pll { observer, fed } => {
@@ -140,7 +140,7 @@ pub(crate) struct AngleObserver<S: Scalar> {
     slow: S,
     /// From the edge below a counter's reads to where they are in the mean: half a count, or nothing.
     offset: S,
-    angle_gain: S::Gains<1>,
+    angle_gain: S::Steep<1>,
     speed_gain: S::Steep<1>,
 }
 
@@ -175,7 +175,7 @@ impl<S: Scalar> AngleObserver<S> {
             share: S::gains("sensors", [(0.1, angle)], angle)?,
             slow: S::from_f32(0.05 * unit.abs() / period, speed),
             offset,
-            angle_gain: S::gains("control.observer_bandwidth", [(angle_gain, angle)], angle)?,
+            angle_gain: S::steep("control.observer_bandwidth", [(angle_gain, angle)], angle)?,
             speed_gain: S::steep("control.observer_bandwidth", [(speed_gain, angle)], speed)?,
         })
     }
@@ -189,9 +189,9 @@ impl<S: Scalar> AngleObserver<S> {
     /// On to the next sample, with the mean acceleration since (rad/s²).
     #[inline]
     fn predict(&mut self, rotation: &Rotation<S>, acceleration: S) {
-        let turned = S::combine(&self.turned, [self.speed, acceleration]);
+        let turned = S::accumulate(&self.turned, [self.speed, acceleration]);
         self.lead = self.lead + (turned - rotation.advance);
-        self.speed = self.speed + S::combine(&self.time, [acceleration]);
+        self.speed = self.speed + S::accumulate(&self.time, [acceleration]);
     }
 
     /// On to the next sample: by how much the mean of its reads is ahead of what it should be.
@@ -232,7 +232,7 @@ impl<S: Scalar> AngleObserver<S> {
     /// Takes a share of the innovation into the estimates. Gives the correction of the speed (rad/s).
     #[inline]
     pub fn correct(&mut self, innovation: S) -> S {
-        self.lead = self.lead + S::combine(&self.angle_gain, [innovation]);
+        self.lead = self.lead + S::amplify(&self.angle_gain, [innovation]);
         let correction = S::amplify(&self.speed_gain, [innovation]);
         self.speed = self.speed + correction;
         correction

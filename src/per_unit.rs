@@ -7,15 +7,17 @@
 //! estimated speed ends in a fault in the period in which it leaves the limit, and cannot have moved further than the encoder,
 //! which is within twice the limit. A sixteenth of full scale for the limit of the speed leaves the difference of two
 //! speeds, which jump from one end to the other, below a quarter. Currents have 64 times their limit, since what the
-//! voltage observer remembers is a current too, and voltages 16 times the highest bus.
+//! voltage observer remembers is a current too. The base of accelerations takes four times that current's, that of voltages four
+//! times what full scales of speed, current and jerk take together, and sixteen times the highest bus.
 //!
-//! **Time.** Full scale of the speed is a power of two in counts per period, and each derivative's is the one before in eighths of
-//! the sampling rate: what the clock and the encoder multiply by is a power of two, without rounding. (A gain that is 2⁻¹⁶
-//! wrong there would be a steady error of the speed.)
+//! **Time.** Full scale of the speed is a power of two in counts per period, and each derivative's is a power of two times the
+//! sampling rate of the one before: what the clock and the encoder multiply by is a power of two, without rounding. (A gain that
+//! is 2⁻¹⁶ wrong there would be a steady error of the speed.)
 
 use crate::config::{ConfigError, positive};
 use crate::drive::DriveConfig;
 use crate::math::{Base, log2_ceil, power_of_two};
+use crate::motor::Coefficients;
 use crate::sense::Sensors;
 
 /// The base of each kind of signal.
@@ -43,26 +45,38 @@ impl Bases {
         let DriveConfig { motor, sensors, timing, limits, .. } = config;
         timing.check()?;
         limits.check()?;
-        let inertia = positive("motor.inertia", motor.inertia)?;
+        let Coefficients { a2, a3, a4, inductance, inertia, .. } = motor.coefficients()?;
         let rate = timing.rate;
         // In rad.
         let unit = sensors.shaft(timing.period()).unit.abs();
         positive("sensors.counts_per_turn", unit)?;
-        let speed = unit * rate * power_of_two(log2_ceil(16.0 * limits.speed / (unit * rate)));
-        let acceleration = rate * speed / 64.0;
+        let speed = unit * rate * above(16.0 * limits.speed / (unit * rate));
+        let current = 64.0 * limits.current;
+        // A 64th of what changes the speed by its full scale in a period, or more where the motor is that quick.
+        let acceleration =
+            speed * rate * above(4.0 * a2 * current / (speed * rate)).max(1.0 / 64.0);
+        let jerk = 0.125 * rate * acceleration;
+        // Full scale of all that takes a voltage, at once and four times.
+        let largest = inductance * (a3 * speed + a4 * current + jerk / a2);
+        let headroom = above((4.0 * largest / limits.bus_max).max(16.0));
         Ok(Self {
             speed: Base(speed),
             acceleration: Base(acceleration),
-            jerk: Base(rate * acceleration / 8.0),
+            jerk: Base(jerk),
             angle: match sensors {
-                Sensors::Exact => Base(2.0 * speed / rate),
+                Sensors::Exact => Base(4.0 * speed / rate),
                 Sensors::Codes(_) => Base::COUNT,
             },
-            current: Base(64.0 * limits.current),
-            voltage: Base(16.0 * limits.bus_max),
-            torque: Base(inertia * acceleration),
+            current: Base(current),
+            voltage: Base(headroom * limits.bus_max),
+            torque: Base(4.0 * inertia * acceleration),
         })
     }
+}
+
+/// The power of two not below.
+fn above(x: f32) -> f32 {
+    power_of_two(log2_ceil(x))
 }
 
 #[cfg(test)]

@@ -157,11 +157,9 @@ pub struct Sensing<S: Scalar> {
 
 #[derive(Clone, Debug)]
 struct Encoder<S: Scalar> {
-    /// Sum of the last sample's reads that count.
+    /// Sum of the last sample's reads, of 16 that count.
     before: u16,
     reads: Reads,
-    /// Counts per unit of that sum.
-    per_read: S::Gains<1>,
     edges: Edges<S>,
 }
 
@@ -270,16 +268,11 @@ impl<S: Scalar> Sensing<S> {
             "must be at most 1000 counts a period",
             speed,
         )?;
-        let per_read = match calibration.reads {
-            Reads::All | Reads::Shifted => 1.0 / READS as f32,
-            Reads::Last | Reads::Edges => 1.0,
-        };
         let count_per_read = calibration.count() * rate * READS as f32;
         Ok(Self {
             encoder: Some(Encoder {
                 before: 0,
                 reads: calibration.reads,
-                per_read: S::gains("sensors.reads", [(per_read, Base::COUNT)], bases.angle)?,
                 edges: Edges {
                     before: None,
                     last: None,
@@ -336,15 +329,15 @@ impl<S: Scalar> Encoder<S> {
     #[inline]
     fn read(&mut self, codes: &Codes) -> Rotation<S> {
         let last = codes.encoder[READS - 1];
+        let sixteen_times = |read: u16| read.wrapping_mul(READS as u16);
         let (sum, of_last) = match self.reads {
             Reads::All | Reads::Shifted => (
                 codes.encoder.iter().fold(0, |sum: u16, read| sum.wrapping_add(*read)),
-                last.wrapping_mul(READS as u16),
+                sixteen_times(last),
             ),
-            Reads::Last | Reads::Edges => (last, last),
+            Reads::Last | Reads::Edges => (sixteen_times(last), sixteen_times(last)),
         };
-        let counts =
-            |difference: u16| S::combine(&self.per_read, [S::from_difference(difference as i16)]);
+        let counts = |difference: u16| S::from_sixteenths(difference as i16);
         let rotation = Rotation {
             advance: counts(sum.wrapping_sub(self.before)),
             behind: counts(sum.wrapping_sub(of_last)),

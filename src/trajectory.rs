@@ -169,8 +169,8 @@ impl<S: Scalar> Shaper<S> {
             self.reference.speed = self.target;
             return &self.reference;
         }
-        self.rest = self.rest + S::combine(&self.moved, [self.acceleration, self.jerk]);
-        self.acceleration = self.acceleration + S::combine(&self.gained, [self.jerk]);
+        self.rest = self.rest + S::accumulate(&self.moved, [self.acceleration, self.jerk]);
+        self.acceleration = self.acceleration + S::accumulate(&self.gained, [self.jerk]);
         match &mut self.kind {
             Kind::Step => {}
             Kind::SecondOrder { stiffness, damping } => {

@@ -61,8 +61,8 @@ impl Scalar for Double {
         Self(code.into())
     }
 
-    fn from_difference(difference: i16) -> Self {
-        Self(difference.into())
+    fn from_sixteenths(difference: i16) -> Self {
+        Self(f64::from(difference) / 16.0)
     }
 
     fn gains<const N: usize>(
@@ -75,6 +75,10 @@ impl Scalar for Double {
 
     fn combine<const N: usize>(gains: &[f64; N], signals: [Self; N]) -> Self {
         Self(gains.iter().zip(signals).map(|(gain, signal)| gain * signal.0).sum())
+    }
+
+    fn accumulate<const N: usize>(gains: &[f64; N], signals: [Self; N]) -> Self {
+        Self::combine(gains, signals)
     }
 
     fn steep<const N: usize>(
@@ -113,8 +117,8 @@ impl Scalar for Double {
         Self(self.0 * f64::from(numerator) / f64::from(denominator))
     }
 
-    fn ratio(self, whole: Self, limit: Self) -> Self {
-        Self(self.0 / whole.0).limited(limit)
+    fn ratio(self, whole: Self, _headroom: u32) -> Self {
+        Self(self.0 / whole.0)
     }
 
     fn of(self, whole: Self) -> Self {

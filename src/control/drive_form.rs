@@ -16,8 +16,8 @@
 //! σ2 += i − î                        v̂ = V·tanh(σ2/ε2)         what the armature's model lacks (V)
 //! î⁺ = Ad·i + Bd·(u − Kb·ω̂ + v̂)      ω⁺ = ω̂ + h·(a2·(i + î⁺)/2 − a1·ω̂ + d̂)
 //! n  = (ω̇_d − d̂ + a1·ω⁺)/a2          i* = limited(n − (c/a2)·(ω⁺ − ω_d))            the virtual control, at t + h
-//! t  = i* + e^(−wi·h)·(î⁺ − i*) [− h·c·(î⁺ − n) + (h/a2)·ω̈_d where i* is not limited]  the current wanted at t + 2h
-//! w  = (t − î⁺)/Bd + Ra·î⁺ + Kb·ω⁺ − v̂    u⁺ = u + (1 − e^(−wf·h))·(w − u)
+//! t  = (1 − e^(−wi·h))·(i* − î⁺) [+ h·c·(n − î⁺) + (h/a2)·ω̈_d where i* is not limited]  what the current is to change by
+//! w  = t/Bd + Ra·î⁺ + Kb·ω⁺ − v̂    u⁺ = u + (1 − e^(−wf·h))·(w − u)
 //! ```
 //!
 //! with Ad = e^(−h·Ra/La), Bd = (1 − Ad)/Ra, and u the voltage that acts from the sample on. BS-QISMC remembers z1 in place of
@@ -149,10 +149,10 @@ pub(crate) struct DriveForm<S: Scalar> {
     speed_before: S,
     /// The disturbance that is beyond authority (rad/s²).
     overload: S,
-    /// How much of the reference's jumps enters σ1: nothing (BS-QSMDO) or all (BS-QISMC).
-    share: S::Gains<1>,
+    /// What σ1 remembers.
+    memory: Memory,
     /// a2/2·i − a1·ω.
-    modelled: S::Steep<2>,
+    modelled: S::Gains<2>,
     /// What the speed gains in a period by the acceleration, by it and its rate, and what the acceleration gains.
     period: S::Gains<1>,
     periods: S::Gains<2>,
@@ -160,22 +160,22 @@ pub(crate) struct DriveForm<S: Scalar> {
     speed_limit: S,
     k1: S::Gains<1>,
     current_limit: S,
-    reserve: S::Steep<1>,
-    keep: S::Gains<1>,
+    reserve: S::Gains<1>,
+    keep: S::Steep<1>,
     held: S::Steep<1>,
-    back_emf: S::Steep<1>,
+    back_emf: S::Gains<1>,
     per_a2: S::Steep<1>,
     a1_per_a2: S::Gains<1>,
     c_per_a2: S::Steep<1>,
     command_limit: S,
-    decay: S::Gains<1>,
+    closing: S::Steep<1>,
     c_period: S::Gains<1>,
     period_per_a2: S::Steep<1>,
     per_held: S::Steep<1>,
     /// Ra·i + Kb·ω.
-    holding: S::Steep<2>,
-    output_share: S::Gains<1>,
-    a2: S::Steep<1>,
+    holding: S::Gains<2>,
+    output_share: S::Steep<1>,
+    a2: S::Gains<1>,
     disturbance_injection: Injection<S>,
     voltage_injection: Injection<S>,
     resumption: Resumption,
@@ -253,10 +253,6 @@ impl<S: Scalar> DriveForm<S> {
             "must keep accelerations below 1e9 rad/s²",
             load_torque,
         )?;
-        let share = match memory {
-            Memory::Observer => 0.0,
-            Memory::Integral => 1.0,
-        };
         let [torque, reserve] = ["control.load_torque", "control.voltage_reserve"];
         Ok(Self {
             last: Signals::NONE,
@@ -271,29 +267,29 @@ impl<S: Scalar> DriveForm<S> {
             exhausted: 0,
             speed_before: S::ZERO,
             overload: S::constant(torque, (0.99 * k1).min(0.95 * a2 * ranges.current_command), a)?,
-            share: S::gains("control.memory", [(share, w)], w)?,
-            modelled: S::steep("motor", [(0.5 * a2, i), (-a1, w)], a)?,
+            memory,
+            modelled: S::gains("motor", [(0.5 * a2, i), (-a1, w)], a)?,
             period: S::gains("timing.rate", [(h, a)], w)?,
             gained: S::gains("timing.rate", [(h, j)], a)?,
             periods: S::gains("timing.rate", [(h, a), (0.5 * h * h, j)], w)?,
             speed_limit: S::constant(torque, EXHAUSTED * epsilon1, w)?,
             k1: S::gains(torque, [(k1, Base::RATIO)], a)?,
             current_limit: S::constant(reserve, EXHAUSTED * epsilon2, i)?,
-            reserve: S::steep(reserve, [(voltage_reserve, Base::RATIO)], v)?,
-            keep: S::gains("motor", [(keep, i)], i)?,
+            reserve: S::gains(reserve, [(voltage_reserve, Base::RATIO)], v)?,
+            keep: S::steep("motor", [(keep, i)], i)?,
             held: S::steep("motor", [(held, v)], i)?,
-            back_emf: S::steep("motor", [(back_emf, w)], v)?,
+            back_emf: S::gains("motor", [(back_emf, w)], v)?,
             per_a2: S::steep("motor", [(1.0 / a2, a)], i)?,
             a1_per_a2: S::gains("motor.viscous_friction", [(a1 / a2, w)], i)?,
             c_per_a2: S::steep("control.speed_bandwidth", [(c / a2, w)], i)?,
             command_limit: S::from_f32(ranges.current_command, i),
-            decay: S::gains("control.current_bandwidth", [(1.0 + exp_m1(-wi * h), i)], i)?,
+            closing: S::steep("control.current_bandwidth", [(-exp_m1(-wi * h), i)], i)?,
             c_period: S::gains("control.speed_bandwidth", [(c * h, i)], i)?,
             period_per_a2: S::steep("motor", [(h / a2, j)], i)?,
             per_held: S::steep("motor", [(1.0 / held, i)], v)?,
-            holding: S::steep("motor", [(resistance, i), (back_emf, w)], v)?,
-            output_share: S::gains("control.output_bandwidth", [(-exp_m1(-wf * h), v)], v)?,
-            a2: S::steep("motor", [(a2, i)], a)?,
+            holding: S::gains("motor", [(resistance, i), (back_emf, w)], v)?,
+            output_share: S::steep("control.output_bandwidth", [(-exp_m1(-wf * h), v)], v)?,
+            a2: S::gains("motor", [(a2, i)], a)?,
             disturbance_injection: Injection::new(torque, 0.0, epsilon1, w)?,
             voltage_injection: Injection::new(reserve, 0.0, epsilon2, i)?,
             resumption: Resumption {
@@ -311,14 +307,18 @@ impl<S: Scalar> DriveForm<S> {
     fn observe(&mut self, rotation: &Rotation<S>, current: S, jump: S) {
         let both = self.current + current;
         let acceleration =
-            S::amplify(&self.modelled, [both, self.observer.speed]) + self.disturbance;
+            S::combine(&self.modelled, [both, self.observer.speed]) + self.disturbance;
         let innovation = if self.counts {
             self.observer.innovation_of_counts(rotation, acceleration)
         } else {
             self.observer.innovation(rotation, acceleration)
         };
         let correction = self.observer.correct(innovation);
-        let mismatch = self.speed_mismatch + correction - S::combine(&self.share, [jump]);
+        let mismatch = self.speed_mismatch + correction;
+        let mismatch = match self.memory {
+            Memory::Observer => mismatch,
+            Memory::Integral => mismatch - jump,
+        };
         self.speed_mismatch = mismatch.limited(self.speed_limit);
         let injection = self.disturbance_injection.value(self.speed_mismatch);
         self.disturbance = S::combine(&self.k1, [injection]);
@@ -349,7 +349,7 @@ impl<S: Scalar> DriveForm<S> {
     pub fn resume(&mut self, measured: &Measured<S>, reference: &Reference<S>, acting: S) {
         let (speed, current) = (self.observer.speed, measured.current);
         self.start(measured, reference);
-        let modelled = S::amplify(&self.modelled, [current + current, speed]);
+        let modelled = S::combine(&self.modelled, [current + current, speed]);
         let Resumption { strength, layer, reserve, reserve_layer, bases } = self.resumption;
         // The mismatch at which the injection is this share.
         let held = |share: f32, layer: f32| layer * atanh(share.clamp(-0.99, 0.99));
@@ -357,7 +357,7 @@ impl<S: Scalar> DriveForm<S> {
         self.speed_mismatch = S::from_f32(held(share, layer), bases.speed);
         let injection = self.disturbance_injection.value(self.speed_mismatch);
         self.disturbance = S::combine(&self.k1, [injection]);
-        let needed = S::amplify(&self.holding, [current, speed]);
+        let needed = S::combine(&self.holding, [current, speed]);
         let share = (needed - acting).to_f32(bases.voltage) / reserve;
         self.current_mismatch = S::from_f32(held(share, reserve_layer), bases.current);
     }
@@ -379,13 +379,13 @@ impl<S: Scalar> DriveForm<S> {
         let mismatch = self.current_mismatch + (current - self.predicted_current);
         self.current_mismatch = mismatch.limited(self.current_limit);
         let lacking =
-            S::amplify(&self.reserve, [self.voltage_injection.value(self.current_mismatch)]);
+            S::combine(&self.reserve, [self.voltage_injection.value(self.current_mismatch)]);
 
         // The state at the next sample.
-        let inner = acting - S::amplify(&self.back_emf, [speed]) + lacking;
-        let current_ahead = S::combine(&self.keep, [current]) + S::amplify(&self.held, [inner]);
+        let inner = acting - S::combine(&self.back_emf, [speed]) + lacking;
+        let current_ahead = S::amplify(&self.keep, [current]) + S::amplify(&self.held, [inner]);
         let acceleration =
-            S::amplify(&self.modelled, [current + current_ahead, speed]) + disturbance;
+            S::combine(&self.modelled, [current + current_ahead, speed]) + disturbance;
         let speed_ahead = speed + S::combine(&self.period, [acceleration]);
         let reference_ahead =
             reference.speed + S::combine(&self.periods, [reference.acceleration, reference.jerk]);
@@ -399,13 +399,12 @@ impl<S: Scalar> DriveForm<S> {
         let command = wanted.limited(self.command_limit);
         let moving = S::amplify(&self.period_per_a2, [reference.jerk])
             + S::combine(&self.c_period, [needed - current_ahead]);
-        let target = command
-            + S::combine(&self.decay, [current_ahead - command])
+        let change = S::amplify(&self.closing, [command - current_ahead])
             + if command == wanted { moving } else { S::ZERO };
-        let voltage = S::amplify(&self.per_held, [target - current_ahead])
-            + S::amplify(&self.holding, [current_ahead, speed_ahead])
+        let voltage = S::amplify(&self.per_held, [change])
+            + S::combine(&self.holding, [current_ahead, speed_ahead])
             - lacking;
-        let voltage = acting + S::combine(&self.output_share, [voltage - acting]);
+        let voltage = acting + S::amplify(&self.output_share, [voltage - acting]);
 
         // Beyond authority: more load than can be held, or a voltage that the reserve does not cover while less than half
         // of the wanted current flows. (A resistance half off takes the reserve in a jump too, but not half the current.)
@@ -425,7 +424,7 @@ impl<S: Scalar> DriveForm<S> {
         self.last = Signals {
             speed,
             z1: speed - reference.speed,
-            z2: S::amplify(&self.a2, [current_ahead - command]),
+            z2: S::combine(&self.a2, [current_ahead - command]),
             disturbance,
             voltage,
         };

@@ -64,7 +64,7 @@ pub(crate) struct Ladrc<S: Scalar> {
     /// 1/b0.
     per_torque: S::Steep<1>,
     a1: S::Gains<1>,
-    a2: S::Steep<1>,
+    a2: S::Gains<1>,
     current: CurrentLoop<S>,
     signals: Signals<S>,
 }
@@ -81,7 +81,7 @@ struct ExtendedStateObserver<S: Scalar> {
     /// Per mean acceleration, and per disturbance, over the period.
     moved: S::Gains<2>,
     /// What a correction leaves of the lead.
-    keep: S::Gains<1>,
+    keep: S::Steep<1>,
     disturbance_gain: S::Steep<1>,
 }
 
@@ -96,7 +96,7 @@ impl<S: Scalar> ExtendedStateObserver<S> {
             disturbance: S::ZERO,
             before: None,
             moved: S::gains("timing.rate", moved, w)?,
-            keep: S::gains(field, [((1.0 - share) * (1.0 - share), w)], w)?,
+            keep: S::steep(field, [((1.0 - share) * (1.0 - share), w)], w)?,
             disturbance_gain: S::steep(field, [(share * share / period, w)], a)?,
         })
     }
@@ -116,7 +116,7 @@ impl<S: Scalar> ExtendedStateObserver<S> {
             Some((speed_before, driven_before)) => {
                 let moved = S::combine(&self.moved, [driven_before + driven, self.disturbance]);
                 let lead = self.lead + (moved - (speed - speed_before));
-                self.lead = S::combine(&self.keep, [lead]);
+                self.lead = S::amplify(&self.keep, [lead]);
                 self.disturbance = self.disturbance - S::amplify(&self.disturbance_gain, [lead]);
             }
         }
@@ -166,7 +166,7 @@ impl<S: Scalar> Ladrc<S> {
             proportional: S::steep("control.ladrc.control_bandwidth", [(-proportional, w)], i)?,
             per_torque: S::steep("motor", [(1.0 / motor.a2, a)], i)?,
             a1: S::gains("motor", [(motor.a1, w)], a)?,
-            a2: S::steep("motor", [(motor.a2, i)], a)?,
+            a2: S::gains("motor", [(motor.a2, i)], a)?,
             current,
             signals: Signals::NONE,
         })
@@ -176,7 +176,7 @@ impl<S: Scalar> Ladrc<S> {
     pub fn follow(&mut self, measured: &Measured<S>) -> S {
         let speed = self.estimator.step(measured, self.acceleration);
         self.acceleration =
-            S::amplify(&self.a2, [measured.current]) - S::combine(&self.a1, [speed]);
+            S::combine(&self.a2, [measured.current]) - S::combine(&self.a1, [speed]);
         speed
     }
 
@@ -196,7 +196,7 @@ impl<S: Scalar> Ladrc<S> {
     #[inline]
     pub fn step(&mut self, measured: &Measured<S>, reference: &Reference<S>, acting: S) -> S {
         let current = measured.current;
-        let driven = S::amplify(&self.a2, [current]);
+        let driven = S::combine(&self.a2, [current]);
         let seen = self.estimator.step(measured, self.acceleration);
         let speed = self.observer.step(seen, driven);
         let total = self.observer.disturbance;
@@ -209,7 +209,7 @@ impl<S: Scalar> Ladrc<S> {
         self.signals = Signals {
             speed,
             z1,
-            z2: S::amplify(&self.a2, [current - command]),
+            z2: S::combine(&self.a2, [current - command]),
             // The model's friction is no disturbance elsewhere.
             disturbance: total + S::combine(&self.a1, [speed]),
             voltage,

@@ -106,8 +106,8 @@ pub(crate) struct CascadedPi<S: Scalar> {
     /// 1/a2.
     per_torque: S::Steep<1>,
     /// a2·i − a1·ω.
-    modelled: S::Steep<2>,
-    a2: S::Steep<1>,
+    modelled: S::Gains<2>,
+    a2: S::Gains<1>,
     observer: Option<DisturbanceObserver<S>>,
     current: CurrentLoop<S>,
     signals: Signals<S>,
@@ -169,8 +169,8 @@ impl<S: Scalar> CascadedPi<S> {
             proportional: S::steep(field, [(-proportional, w)], i)?,
             integration: S::steep(field, [(-integration, w)], i)?,
             per_torque: S::steep("motor", [(1.0 / motor.a2, a)], i)?,
-            modelled: S::steep("motor", [(motor.a2, i), (-motor.a1, w)], a)?,
-            a2: S::steep("motor", [(motor.a2, i)], a)?,
+            modelled: S::gains("motor", [(motor.a2, i), (-motor.a1, w)], a)?,
+            a2: S::gains("motor", [(motor.a2, i)], a)?,
             observer,
             current,
             signals: Signals::NONE,
@@ -214,14 +214,14 @@ impl<S: Scalar> CascadedPi<S> {
 
         let disturbance = match &mut self.observer {
             Some(observer) => {
-                let modelled = S::amplify(&self.modelled, [current, speed]);
+                let modelled = S::combine(&self.modelled, [current, speed]);
                 let disturbance = observer.step(speed, modelled);
                 self.acceleration = modelled + disturbance;
                 disturbance
             }
             // In the steady state this is no acceleration: a speed estimate that is fed with it has no offset there.
             None => {
-                self.acceleration = S::amplify(&self.a2, [current - self.integral]);
+                self.acceleration = S::combine(&self.a2, [current - self.integral]);
                 S::ZERO
             }
         };
@@ -232,7 +232,7 @@ impl<S: Scalar> CascadedPi<S> {
         let command = wanted.limited(self.current_limit);
         self.excess = wanted - command;
         let voltage = self.current.step(command, current, speed, acting);
-        let z2 = S::amplify(&self.a2, [current - command]);
+        let z2 = S::combine(&self.a2, [current - command]);
         self.signals = Signals { speed, z1, z2, disturbance, voltage };
         voltage
     }
@@ -244,7 +244,7 @@ impl<S: Scalar> CascadedPi<S> {
     /// −a1·ω + a2·i (rad/s²).
     #[inline]
     fn modelled_acceleration(&self, speed: S, current: S) -> S {
-        S::amplify(&self.modelled, [current, speed])
+        S::combine(&self.modelled, [current, speed])
     }
 }
 
@@ -305,10 +305,10 @@ pub(super) struct CurrentLoop<S: Scalar> {
     gain: S::Steep<1>,
     /// 1/kc.
     per_gain: S::Steep<1>,
-    resistance: S::Steep<1>,
-    back_emf: S::Steep<1>,
+    resistance: S::Gains<1>,
+    back_emf: S::Gains<1>,
     /// 1 − e^(−a4·h).
-    share: S::Gains<1>,
+    share: S::Steep<1>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -354,15 +354,15 @@ impl<S: Scalar> CurrentLoop<S> {
             before: None,
             gain: S::steep(field, [(gain, i)], v)?,
             per_gain: S::steep(field, [(1.0 / gain, v)], i)?,
-            resistance: S::steep("motor.resistance", [(resistance, i)], v)?,
-            back_emf: S::steep("motor.back_emf_constant", [(back_emf, w)], v)?,
-            share: S::gains("motor", [(share, v)], v)?,
+            resistance: S::gains("motor.resistance", [(resistance, i)], v)?,
+            back_emf: S::gains("motor.back_emf_constant", [(back_emf, w)], v)?,
+            share: S::steep("motor", [(share, v)], v)?,
         })
     }
 
     /// Starts with a current (A): as if that had flowed for long.
     pub fn start(&mut self, current: S) {
-        self.drop = S::amplify(&self.resistance, [current]);
+        self.drop = S::combine(&self.resistance, [current]);
         self.before = None;
     }
 
@@ -379,9 +379,9 @@ impl<S: Scalar> CurrentLoop<S> {
     #[inline]
     pub fn step(&mut self, command: S, current: S, speed: S, acting: S) -> S {
         if let Some(before) = &self.before {
-            self.drop = self.drop + S::combine(&self.share, [acting - before.back_emf - self.drop]);
+            self.drop = self.drop + S::amplify(&self.share, [acting - before.back_emf - self.drop]);
         }
-        let back_emf = S::amplify(&self.back_emf, [speed]);
+        let back_emf = S::combine(&self.back_emf, [speed]);
         let voltage = S::amplify(&self.gain, [command - current]) + self.drop + back_emf;
         self.before = Some(Before { back_emf, voltage });
         voltage

@@ -1,13 +1,13 @@
 //! Fixed point: signals in 2⁻³¹ of their base, for cores without an FPU.
 //!
 //! **No overflow.** Bases ([`crate::per_unit`]) leave every signal that a sample or a command can cause below a quarter of full
-//! scale. Gains of a sum come to 1 at most, so the sum stays within its largest signal; sums with larger gains saturate at a
+//! scale. Gains of a sum come to a half at most, so the sum stays within its largest signal; sums with larger gains saturate at a
 //! quarter. No more than four such are added before a limit or the next gain. What is remembered is limited. Additions are the
 //! plain ones: tests, where they are checked, would panic.
 //!
 //! **Rounding.** A gain is rounded to 16 bits with its sum's largest: a core without long products (Cortex-M0) takes two
 //! multiplications for one. The bases make gains that must be exact — of the clock, of counts — powers of two. A sum of
-//! products is exact, and then rounded down once.
+//! products is exact, and then rounded once: down, or to the nearest where errors would add up ([`accumulate`](Scalar::accumulate)).
 
 use super::table::{Curve, rising_parabola};
 use super::{Base, Scalar, log2_ceil, power_of_two, sum_of_floors};
@@ -24,26 +24,27 @@ const SCALE: f32 = (1_u64 << 31) as f32;
 /// Where what has large gains saturates.
 const QUARTER: i32 = 1 << 29;
 
-/// Largest sum of a row's mantissas, for gains of 1 in all.
-const MANTISSAS: f32 = 32_768.0;
+/// Most that the mantissas of a sum may come to: the sum then stays within half its largest signal.
+const MOST: u32 = (1 << 15) - 1;
 
-/// Gains of a sum: mantissa/2¹⁵/2^shift.
+/// Where a mantissa is in its word: on top for a long product, of which the upper word counts.
+const PLACE: u32 = if cfg!(short_products) { 0 } else { 16 };
+
+/// Gains of a sum: mantissa/2¹⁶/2^shift.
 #[derive(Clone, Copy, Debug)]
 #[repr(C)]
 pub struct Gains<const N: usize> {
     mantissas: [i32; N],
+    shift: u32,
     /// Half of what `shift` takes.
     half: i32,
-    shift: u32,
 }
 
-/// Gains of any size: mantissa/2¹⁵·2^up/2^down, where one of both is 0.
+/// Gains of any size: mantissa/2¹⁶·2^up/2^down, where one of both is 0.
 #[derive(Clone, Copy, Debug)]
 #[repr(C)]
 pub struct Steep<const N: usize> {
     mantissas: [i32; N],
-    /// Half of what `down` takes.
-    half: i32,
     down: u32,
     /// [`QUARTER`]/2^up.
     limit: i32,
@@ -78,14 +79,14 @@ const POSITION: Base = Base(32_768.0);
 /// 1 as a [ratio](Base::RATIO).
 const ONE: i32 = 1 << 30;
 
-/// ⌊Σ mantissa·signal/2¹⁵⌋ by long products.
+/// ⌊Σ mantissa·signal/2¹⁶⌋, by long products.
 #[inline]
 #[cfg_attr(short_products, allow(dead_code, reason = "the other one is for this core"))]
 fn long<const N: usize>(mantissas: &[i32; N], signals: [Q31; N]) -> i32 {
     let products = mantissas.iter().zip(signals);
-    let sum: i64 = products
-        .fold(0, |sum, (&mantissa, Q31(signal))| sum + i64::from(mantissa) * i64::from(signal));
-    (sum >> 15) as i32
+    let sum = products
+        .fold(0_i64, |sum, (&mantissa, Q31(signal))| sum + i64::from(mantissa) * i64::from(signal));
+    (sum >> (16 + PLACE)) as i32
 }
 
 /// The same by products of 32 bits.
@@ -94,11 +95,12 @@ fn long<const N: usize>(mantissas: &[i32; N], signals: [Q31; N]) -> i32 {
 fn short<const N: usize>(mantissas: &[i32; N], signals: [Q31; N]) -> i32 {
     let products = mantissas.iter().zip(signals);
     let (high, low) = products.fold((0_i32, 0_i32), |(high, low), (&mantissa, Q31(signal))| {
+        let mantissa = mantissa >> PLACE;
         let upper = (signal >> 16).wrapping_mul(mantissa);
         let lower = (signal & 0xffff).wrapping_mul(mantissa);
         (high.wrapping_add(upper), low.wrapping_add(lower))
     });
-    (high << 1).wrapping_add(low >> 15)
+    high.wrapping_add(low >> 16)
 }
 
 #[cfg(not(short_products))]
@@ -106,20 +108,20 @@ use long as sum_of_products;
 #[cfg(short_products)]
 use short as sum_of_products;
 
-/// Mantissas in 2^(exponent − 15), with the least exponent.
+/// Mantissas of gains in 2^(exponent − 16), with the least exponent.
 fn normalised<const N: usize>(gains: [(f32, Base); N], to: Base) -> ([i32; N], i32) {
     let gains = gains.map(|(gain, base)| gain * (base.0 / to.0));
     let total: f32 = gains.iter().map(|gain| gain.abs()).sum();
     if total == 0.0 {
         return ([0; N], 0);
     }
-    let mut exponent = log2_ceil(total).max(-31);
+    let mut exponent = log2_ceil(total).max(-30);
     loop {
-        let scale = MANTISSAS * power_of_two(-exponent);
+        let scale = power_of_two(16 - exponent);
         let mantissas = gains.map(|gain| libm::roundf(gain * scale) as i32);
         // Rounded up, they may come to more than their sum.
-        if mantissas.iter().map(|mantissa| mantissa.unsigned_abs()).sum::<u32>() <= 1 << 15 {
-            return (mantissas, exponent);
+        if mantissas.iter().map(|mantissa| mantissa.unsigned_abs()).sum::<u32>() <= MOST {
+            return (mantissas.map(|mantissa| mantissa << PLACE), exponent);
         }
         exponent += 1;
     }
@@ -188,8 +190,8 @@ impl Scalar for Q31 {
     }
 
     #[inline]
-    fn from_difference(difference: i16) -> Self {
-        Self(i32::from(difference) << 16)
+    fn from_sixteenths(difference: i16) -> Self {
+        Self(i32::from(difference) << 12)
     }
 
     fn gains<const N: usize>(
@@ -198,16 +200,21 @@ impl Scalar for Q31 {
         to: Base,
     ) -> Result<Gains<N>, ConfigError> {
         let (finite, largest) = checked(&gains);
-        let rule = "must keep the gains of fixed point within 1";
+        let rule = "must keep the gains of fixed point below a half";
         require(finite, field, rule, largest)?;
         let (mantissas, exponent) = normalised(gains, to);
         require(exponent <= 0, field, rule, largest)?;
         let shift = exponent.unsigned_abs();
-        Ok(Gains { mantissas, half: half(shift), shift })
+        Ok(Gains { mantissas, shift, half: half(shift) })
     }
 
     #[inline]
     fn combine<const N: usize>(gains: &Gains<N>, signals: [Self; N]) -> Self {
+        Self(sum_of_products(&gains.mantissas, signals) >> (gains.shift & 31))
+    }
+
+    #[inline]
+    fn accumulate<const N: usize>(gains: &Gains<N>, signals: [Self; N]) -> Self {
         Self((sum_of_products(&gains.mantissas, signals) + gains.half) >> (gains.shift & 31))
     }
 
@@ -217,18 +224,17 @@ impl Scalar for Q31 {
         to: Base,
     ) -> Result<Steep<N>, ConfigError> {
         let (finite, largest) = checked(&gains);
-        let rule = "must keep the gains of fixed point below 32768";
+        let rule = "must keep the gains of fixed point below 16384";
         require(finite, field, rule, largest)?;
         let (mantissas, exponent) = normalised(gains, to);
         require(exponent <= 15, field, rule, largest)?;
         let up = exponent.max(0) as u32;
-        let down = (-exponent).max(0) as u32;
-        Ok(Steep { mantissas, half: half(down), down, limit: QUARTER >> up, up })
+        Ok(Steep { mantissas, down: (-exponent).max(0) as u32, limit: QUARTER >> up, up })
     }
 
     #[inline]
     fn amplify<const N: usize>(gains: &Steep<N>, signals: [Self; N]) -> Self {
-        let sum = (sum_of_products(&gains.mantissas, signals) + gains.half) >> (gains.down & 31);
+        let sum = sum_of_products(&gains.mantissas, signals) >> (gains.down & 31);
         Self(Self(sum).limited(Self(gains.limit)).0 << (gains.up & 31))
     }
 
@@ -261,11 +267,15 @@ impl Scalar for Q31 {
 
     #[inline]
     fn look_up(table: &Table, signal: Self) -> Self {
-        let Self(position) = Self::amplify(&table.per_unit, [signal.abs()]);
+        let Steep { mantissas, down, limit, up } = &table.per_unit;
+        let position = sum_of_products(mantissas, [signal.abs()]) >> (down & 31);
+        // Negative only where it wrapped, far beyond the table.
+        let position = (position as u32).min(*limit as u32) << (up & 31);
         let segment = &table.segments[((position >> 16) as usize).min(SEGMENTS - 1)];
         let place = position & 0xffff;
-        let slope = i32::from(segment.slope) + ((place * i32::from(segment.curvature)) >> 16);
-        let value = segment.value + ((slope as u32).wrapping_mul(place as u32) >> 5) as i32;
+        let slope =
+            i32::from(segment.slope) + ((place as i32 * i32::from(segment.curvature)) >> 16);
+        let value = segment.value + ((slope as u32).wrapping_mul(place) >> 5) as i32;
         let sign = signal.0 >> 31;
         Self((value ^ sign) - sign)
     }
@@ -287,14 +297,16 @@ impl Scalar for Q31 {
     }
 
     #[inline]
-    fn ratio(self, whole: Self, limit: Self) -> Self {
-        let share = (self.limited(whole).0 << 3) / (whole.0 >> 12).max(1);
-        Self(Self(share).limited(Self(limit.0 >> 15)).0 << 15)
+    fn ratio(self, whole: Self, headroom: u32) -> Self {
+        let dividend = self.0.wrapping_shl(headroom - 1);
+        // Rounded up, so that the quotient is no larger than it should be.
+        let divisor = whole.0.wrapping_shr(16 - headroom) + 1;
+        Self((dividend / divisor) << 15)
     }
 
     #[inline]
     fn of(self, whole: Self) -> Self {
-        Self(sum_of_products(&[self.0 >> 15], [whole]))
+        Self(sum_of_products(&[(self.0 >> 15) << PLACE], [whole]) << 1)
     }
 
     #[inline]

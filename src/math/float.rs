@@ -49,8 +49,8 @@ impl Scalar for f32 {
     }
 
     #[inline]
-    fn from_difference(difference: i16) -> f32 {
-        f32::from(difference)
+    fn from_sixteenths(difference: i16) -> f32 {
+        f32::from(difference) * (1.0 / 16.0)
     }
 
     fn gains<const N: usize>(
@@ -66,6 +66,11 @@ impl Scalar for f32 {
         let mut products = gains.iter().zip(signals).map(|(gain, signal)| gain * signal);
         let first = products.next().unwrap_or_default();
         products.fold(first, |sum, product| sum + product)
+    }
+
+    #[inline]
+    fn accumulate<const N: usize>(gains: &[f32; N], signals: [f32; N]) -> f32 {
+        Self::combine(gains, signals)
     }
 
     fn steep<const N: usize>(
@@ -124,8 +129,8 @@ impl Scalar for f32 {
     }
 
     #[inline]
-    fn ratio(self, whole: f32, limit: f32) -> f32 {
-        (self / whole).limited(limit)
+    fn ratio(self, whole: f32, _headroom: u32) -> f32 {
+        self / whole
     }
 
     #[inline]

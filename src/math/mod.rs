@@ -42,7 +42,7 @@ impl Base {
 pub trait Scalar:
     Copy + Debug + PartialOrd + Add<Output = Self> + Sub<Output = Self> + Neg<Output = Self>
 {
-    /// Gains of a sum, which in fixed point come to 1 at most together: it cannot leave the range.
+    /// Gains of a sum, which in fixed point come to a half at most together: it cannot leave the range.
     type Gains<const N: usize>: Copy + Debug;
 
     /// Gains of any size, of a sum that fixed point saturates at a quarter of its base.
@@ -66,21 +66,24 @@ pub trait Scalar:
     /// A converter's code, in [`Base::CODE`].
     fn from_code(code: u16) -> Self;
 
-    /// A difference of counts, in [`Base::COUNT`].
-    fn from_difference(difference: i16) -> Self;
+    /// A difference of counts in sixteenths, in [`Base::COUNT`].
+    fn from_sixteenths(difference: i16) -> Self;
 
-    /// The gains of [`combine`](Self::combine), each with the base of its signal. Fixed point rounds them to 2⁻¹⁶ of the largest
-    /// and refuses more than 1 in all.
+    /// The gains of [`combine`](Self::combine), each with the base of its signal. Fixed point rounds them to 2⁻¹⁶ of their sum or
+    /// so, and refuses more than a half in all.
     fn gains<const N: usize>(
         field: &'static str,
         gains: [(f32, Base); N],
         to: Base,
     ) -> Result<Self::Gains<N>, ConfigError>;
 
-    /// Σ gain·signal. Floating point sums in the given order, fixed point rounds once.
+    /// Σ gain·signal. Floating point sums in the given order, fixed point rounds once, down.
     fn combine<const N: usize>(gains: &Self::Gains<N>, signals: [Self; N]) -> Self;
 
-    /// The gains of [`amplify`](Self::amplify), each with the base of its signal. Fixed point refuses 2¹⁵ and more.
+    /// The same rounded to the nearest, for what adds up over many periods.
+    fn accumulate<const N: usize>(gains: &Self::Gains<N>, signals: [Self; N]) -> Self;
+
+    /// The gains of [`amplify`](Self::amplify), each with the base of its signal. Fixed point refuses 2¹⁴ and more.
     fn steep<const N: usize>(
         field: &'static str,
         gains: [(f32, Base); N],
@@ -106,11 +109,11 @@ pub trait Scalar:
     /// numerator/denominator of a signal; fixed point saturates at a quarter of its base. For comparison: it divides.
     fn fraction(self, numerator: i16, denominator: i16) -> Self;
 
-    /// This as a share of `whole`, a positive signal of the same base, limited to ±`limit`, a ratio. Fixed point resolves 2⁻¹⁵ of
-    /// 1, and expects `whole` within 2⁻⁸ and 2⁻⁴ of the base.
-    fn ratio(self, whole: Self, limit: Self) -> Self;
+    /// This as a share of `whole`, a positive signal of the same base and not smaller. Fixed point resolves 2⁻¹⁵ of 1 and rounds
+    /// towards 0; `whole` must stay within 2⁻`headroom` of the base, from 1 to 16.
+    fn ratio(self, whole: Self, headroom: u32) -> Self;
 
-    /// This ratio's share of `whole`.
+    /// This ratio's share of `whole`, of which fixed point expects a quarter of the base at most.
     fn of(self, whole: Self) -> Self;
 
     /// The same signal in a base that is 2^`by` times as large.

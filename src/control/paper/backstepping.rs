@@ -26,18 +26,16 @@ use crate::trajectory::Reference;
 #[derive(Clone, Debug)]
 pub(super) struct Backstepping<S: Scalar> {
     /// −a1·ω + a2·i, of the current and the speed.
-    modelled: S::Steep<2>,
+    modelled: S::Gains<2>,
     /// c·z1.
     closing: S::Steep<1>,
     /// −c·z2 − z1.
     z2_rate: S::Gains<2>,
-    /// Armature voltage of the speed and the current, of the errors z1 and z2, of the reference's jerk, and of the estimates d̂
-    /// and ζ̂2/k2.
-    held: S::Steep<2>,
-    errors: S::Steep<2>,
-    jerk: S::Steep<1>,
-    disturbance: S::Gains<1>,
-    lumped: S::Steep<1>,
+    /// Armature voltage of the speed and the current, of the errors z1 and z2, of the reference's jerk and d̂, and of ζ̂2/k2.
+    held: S::Gains<2>,
+    errors: S::Gains<2>,
+    feed: S::Gains<2>,
+    lumped: S::Gains<1>,
 }
 
 impl<S: Scalar> Backstepping<S> {
@@ -77,21 +75,20 @@ impl<S: Scalar> Backstepping<S> {
         // What fixed point can hold of z2.
         S::constant(field, z2_range, a)?;
         Ok(Self {
-            modelled: S::steep("motor", [(a2, i), (-a1, w)], a)?,
+            modelled: S::gains("motor", [(a2, i), (-a1, w)], a)?,
             closing: S::steep(field, [(c, w)], a)?,
             z2_rate: S::gains(field, [(-c, a), (-1.0, w)], j)?,
-            held: S::steep("motor", [(speed, w), (current, i)], v)?,
-            errors: S::steep(field, [(z1, w), (z2, a)], v)?,
-            jerk: S::steep("motor", [(volts, j)], v)?,
-            disturbance: S::gains("motor", [(disturbance, a)], v)?,
-            lumped: S::steep("gains.k2", [(lumped, Base::RATIO)], v)?,
+            held: S::gains("motor", [(speed, w), (current, i)], v)?,
+            errors: S::gains(field, [(z1, w), (z2, a)], v)?,
+            feed: S::gains("motor", [(volts, j), (disturbance, a)], v)?,
+            lumped: S::gains("gains.k2", [(lumped, Base::RATIO)], v)?,
         })
     }
 
     /// The acceleration that the motor's model gives without load, −a1·ω + a2·i (rad/s²).
     #[inline]
     pub fn modelled_acceleration(&self, speed: S, current: S) -> S {
-        S::amplify(&self.modelled, [current, speed])
+        S::combine(&self.modelled, [current, speed])
     }
 
     /// The second error z2 (rad/s²).
@@ -115,11 +112,10 @@ impl<S: Scalar> Backstepping<S> {
         reference: &Reference<S>,
         (disturbance, lumped): (S, S),
     ) -> S {
-        S::amplify(&self.held, [speed, current])
-            + S::amplify(&self.errors, [z1, z2])
-            + S::amplify(&self.jerk, [reference.jerk])
-            + S::combine(&self.disturbance, [disturbance])
-            + S::amplify(&self.lumped, [lumped])
+        S::combine(&self.held, [speed, current])
+            + S::combine(&self.errors, [z1, z2])
+            + S::combine(&self.feed, [reference.jerk, disturbance])
+            + S::combine(&self.lumped, [lumped])
     }
 }
 

@@ -147,13 +147,13 @@ impl<S: Scalar> Channel<S> {
     /// One step: the signal and its modelled rate at this sample → the injection g, within ±1.
     #[inline]
     pub fn step(&mut self, signal: S, rate: S) -> S {
-        let growth = (signal - self.before) + S::combine(&self.time_now, [rate]);
+        let growth = (signal - self.before) + S::accumulate(&self.time_now, [rate]);
         self.mismatch = (self.memory + growth).limited(self.limit);
         self.value = self.injection.value(self.mismatch);
         self.before = signal;
         self.memory = self.mismatch
-            + S::combine(&self.time_after, [rate])
-            + S::combine(&self.correction, [self.value]);
+            + S::accumulate(&self.time_after, [rate])
+            + S::accumulate(&self.correction, [self.value]);
         self.value
     }
 

@@ -27,8 +27,8 @@ use crate::trajectory::Reference;
 #[derive(Clone, Debug)]
 #[repr(C)] // What every step loads comes first, in reach of short loads.
 pub(super) struct Estimator<S: Scalar> {
-    /// How much of the reference's motion is taken off what the first channel watches: nothing (QSMDO) or all (QISMC).
-    share: S::Gains<1>,
+    /// Whether the reference's motion is taken off what the first channel watches: QISMC.
+    integral: bool,
     k1: S::Gains<1>,
     /// k1 once more (rad/s²).
     strength: f32,
@@ -48,10 +48,8 @@ impl<S: Scalar> Estimator<S> {
         let &Bases { speed, acceleration, jerk, .. } = bases;
         let gains = &config.gains;
         let period = timing.period();
-        let (share, start) = match config.law {
-            Law::Qismc => (1.0, Start::Matched),
-            Law::Qsmdo | Law::Backstepping => (0.0, config.start),
-        };
+        let integral = config.law == Law::Qismc;
+        let start = if integral { Start::Matched } else { config.start };
         let first = ChannelConfig {
             strength: gains.k1,
             layer: gains.epsilon1,
@@ -75,7 +73,7 @@ impl<S: Scalar> Estimator<S> {
             ..first
         };
         Ok(Self {
-            share: S::gains("law", [(share, speed)], speed)?,
+            integral,
             k1: S::gains("gains.k1", [(gains.k1, Base::RATIO)], acceleration)?,
             strength: gains.k1,
             acceleration,
@@ -131,10 +129,11 @@ impl<S: Scalar> Estimator<S> {
     /// What the first channel watches, and its modelled rate.
     #[inline]
     fn watched(&self, speed: S, modelled: S, reference: &Reference<S>) -> (S, S) {
-        (
-            speed - S::combine(&self.share, [reference.speed]),
-            modelled - S::combine(&self.share, [reference.acceleration]),
-        )
+        if self.integral {
+            (speed - reference.speed, modelled - reference.acceleration)
+        } else {
+            (speed, modelled)
+        }
     }
 
     /// The sliding variables: ω − x̂1 or s1 (rad/s), z2 − ẑ2 or s2 (rad/s²).
