@@ -300,7 +300,7 @@ impl Scalar for Q31 {
     fn ratio(self, whole: Self, headroom: u32) -> Self {
         let dividend = self.0.wrapping_shl(headroom - 1);
         // Rounded up, so that the quotient is no larger than it should be.
-        let divisor = whole.0.wrapping_shr(16 - headroom) + 1;
+        let divisor = (whole.0.wrapping_shr(16 - headroom) + 1).max(1);
         Self((dividend / divisor) << 15)
     }
 
