@@ -3,7 +3,7 @@
 use crate::config::{ConfigError, positive, require};
 use crate::hal::READS;
 use crate::math::{Scalar, exp_m1};
-use crate::per_unit::Bases;
+use crate::per_unit::{ACCELERATION, Bases};
 use crate::sense::{Measured, Rotation, Shaft};
 use serde::{Deserialize, Serialize};
 
@@ -129,7 +129,7 @@ pub(crate) struct AngleObserver<S: Scalar> {
     /// Angle per speed and acceleration over the period.
     turned: S::Gains<2>,
     /// Speed per acceleration over the period (s).
-    time: S::Gains<1>,
+    time: S::Time,
     /// Angle per speed and acceleration over the reads' age.
     aged: S::Gains<2>,
     /// Angle per speed between two reads, and per acceleration that was less then.
@@ -169,7 +169,7 @@ impl<S: Scalar> AngleObserver<S> {
             speed: S::ZERO,
             lead: offset,
             turned: angle_of(period, 0.5 * period * period)?,
-            time: S::gains("timing.rate", [(period, acceleration)], speed)?,
+            time: S::time(period),
             aged: angle_of(least_age, -0.5 * age * age)?,
             distance: angle_of(distance, -0.5 * period * distance)?,
             share: S::gains("sensors", [(0.1, angle)], angle)?,
@@ -191,7 +191,7 @@ impl<S: Scalar> AngleObserver<S> {
     fn predict(&mut self, rotation: &Rotation<S>, acceleration: S) {
         let turned = S::accumulate(&self.turned, [self.speed, acceleration]);
         self.lead = self.lead + (turned - rotation.advance);
-        self.speed = self.speed + S::accumulate(&self.time, [acceleration]);
+        self.speed = self.speed + acceleration.over::<ACCELERATION>(self.time);
     }
 
     /// On to the next sample: by how much the mean of its reads is ahead of what it should be.

@@ -10,15 +10,21 @@
 //! voltage observer remembers is a current too. The base of accelerations takes four times that current's, that of voltages four
 //! times what full scales of speed, current and jerk take together, and sixteen times the highest bus.
 //!
-//! **Time.** Full scale of the speed is a power of two in counts per period, and each derivative's is a power of two times the
-//! sampling rate of the one before: what the clock and the encoder multiply by is a power of two, without rounding. (A gain that
-//! is 2⁻¹⁶ wrong there would be a steady error of the speed.)
+//! **Time.** Full scale of the speed is a power of two in counts per period, and each derivative's is [a power of
+//! two](ACCELERATION) times the sampling rate of the one before: what the clock and the encoder multiply by is a power of two,
+//! without rounding. (A gain that is 2⁻¹⁶ wrong there would be a steady error of the speed.)
 
 use crate::config::{ConfigError, positive};
 use crate::drive::DriveConfig;
 use crate::math::{Base, log2_ceil, power_of_two};
 use crate::motor::Coefficients;
 use crate::sense::Sensors;
+
+/// In a sampling period an acceleration makes 2^−`ACCELERATION` of its share of full scale as a speed.
+pub const ACCELERATION: u32 = 6;
+
+/// And the rate of an acceleration 2^−`JERK` as an acceleration.
+pub const JERK: u32 = 3;
 
 /// The base of each kind of signal.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -50,12 +56,12 @@ impl Bases {
         // In rad.
         let unit = sensors.shaft(timing.period()).unit.abs();
         positive("sensors.counts_per_turn", unit)?;
-        let speed = unit * rate * above(16.0 * limits.speed / (unit * rate));
         let current = 64.0 * limits.current;
-        // A 64th of what changes the speed by its full scale in a period, or more where the motor is that quick.
-        let acceleration =
-            speed * rate * above(4.0 * a2 * current / (speed * rate)).max(1.0 / 64.0);
-        let jerk = 0.125 * rate * acceleration;
+        let [per_acceleration, per_jerk] = [ACCELERATION, JERK].map(|by| rate / (1 << by) as f32);
+        let needed = (16.0 * limits.speed).max(4.0 * a2 * current / per_acceleration);
+        let speed = unit * rate * above(needed / (unit * rate));
+        let acceleration = per_acceleration * speed;
+        let jerk = per_jerk * acceleration;
         // Full scale of all that takes a voltage, at once and four times.
         let largest = inductance * (a3 * speed + a4 * current + jerk / a2);
         let headroom = above((4.0 * largest / limits.bus_max).max(16.0));

@@ -41,6 +41,7 @@ pub struct Table(Graded);
 impl Scalar for Double {
     type Gains<const N: usize> = [f64; N];
     type Steep<const N: usize> = [f64; N];
+    type Time = f64;
     type Table = Table;
 
     const ZERO: Self = Self(0.0);
@@ -79,6 +80,14 @@ impl Scalar for Double {
 
     fn accumulate<const N: usize>(gains: &[f64; N], signals: [Self; N]) -> Self {
         Self::combine(gains, signals)
+    }
+
+    fn time(seconds: f32) -> f64 {
+        seconds.into()
+    }
+
+    fn over<const SHIFT: u32>(self, time: f64) -> Self {
+        Self(self.0 * time)
     }
 
     fn steep<const N: usize>(

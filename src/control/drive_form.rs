@@ -29,7 +29,7 @@ use crate::config::{ConfigError, positive, require};
 use crate::estimate::AngleObserver;
 use crate::math::{Base, Scalar, atanh, exp_m1, sqrt};
 use crate::motor::{Coefficients, MotorParameters};
-use crate::per_unit::Bases;
+use crate::per_unit::{ACCELERATION, Bases, JERK};
 use crate::sense::{Calibration, Measured, Rotation};
 use crate::trajectory::Reference;
 use serde::{Deserialize, Serialize};
@@ -153,10 +153,8 @@ pub(crate) struct DriveForm<S: Scalar> {
     memory: Memory,
     /// a2/2·i − a1·ω.
     modelled: S::Gains<2>,
-    /// What the speed gains in a period by the acceleration, by it and its rate, and what the acceleration gains.
-    period: S::Gains<1>,
-    periods: S::Gains<2>,
-    gained: S::Gains<1>,
+    period: S::Time,
+    half_period: S::Time,
     speed_limit: S,
     k1: S::Gains<1>,
     current_limit: S,
@@ -269,9 +267,8 @@ impl<S: Scalar> DriveForm<S> {
             overload: S::constant(torque, (0.99 * k1).min(0.95 * a2 * ranges.current_command), a)?,
             memory,
             modelled: S::gains("motor", [(0.5 * a2, i), (-a1, w)], a)?,
-            period: S::gains("timing.rate", [(h, a)], w)?,
-            gained: S::gains("timing.rate", [(h, j)], a)?,
-            periods: S::gains("timing.rate", [(h, a), (0.5 * h * h, j)], w)?,
+            period: S::time(h),
+            half_period: S::time(0.5 * h),
             speed_limit: S::constant(torque, EXHAUSTED * epsilon1, w)?,
             k1: S::gains(torque, [(k1, Base::RATIO)], a)?,
             current_limit: S::constant(reserve, EXHAUSTED * epsilon2, i)?,
@@ -386,11 +383,10 @@ impl<S: Scalar> DriveForm<S> {
         let current_ahead = S::amplify(&self.keep, [current]) + S::amplify(&self.held, [inner]);
         let acceleration =
             S::combine(&self.modelled, [current + current_ahead, speed]) + disturbance;
-        let speed_ahead = speed + S::combine(&self.period, [acceleration]);
-        let reference_ahead =
-            reference.speed + S::combine(&self.periods, [reference.acceleration, reference.jerk]);
-        let acceleration_ahead =
-            reference.acceleration + S::combine(&self.gained, [reference.jerk]);
+        let speed_ahead = speed + acceleration.over::<ACCELERATION>(self.period);
+        let acceleration_ahead = reference.acceleration + reference.jerk.over::<JERK>(self.period);
+        let both = reference.acceleration + acceleration_ahead;
+        let reference_ahead = reference.speed + both.over::<{ ACCELERATION + 1 }>(self.half_period);
 
         // The virtual control and the current that it wants a period later.
         let needed = S::amplify(&self.per_a2, [acceleration_ahead - disturbance])

@@ -166,6 +166,7 @@ impl Neg for Q31 {
 impl Scalar for Q31 {
     type Gains<const N: usize> = Gains<N>;
     type Steep<const N: usize> = Steep<N>;
+    type Time = ();
     type Table = Table;
 
     const ZERO: Self = Self(0);
@@ -216,6 +217,13 @@ impl Scalar for Q31 {
     #[inline]
     fn accumulate<const N: usize>(gains: &Gains<N>, signals: [Self; N]) -> Self {
         Self((sum_of_products(&gains.mantissas, signals) + gains.half) >> (gains.shift & 31))
+    }
+
+    fn time(_seconds: f32) {}
+
+    #[inline]
+    fn over<const SHIFT: u32>(self, (): ()) -> Self {
+        Self((self.0 + (1 << (SHIFT - 1))) >> SHIFT)
     }
 
     fn steep<const N: usize>(

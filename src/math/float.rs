@@ -27,6 +27,7 @@ fn segment(position: f32) -> usize {
 impl Scalar for f32 {
     type Gains<const N: usize> = [f32; N];
     type Steep<const N: usize> = [f32; N];
+    type Time = f32;
     type Table = Table;
 
     const ZERO: Self = 0.0;
@@ -71,6 +72,15 @@ impl Scalar for f32 {
     #[inline]
     fn accumulate<const N: usize>(gains: &[f32; N], signals: [f32; N]) -> f32 {
         Self::combine(gains, signals)
+    }
+
+    fn time(seconds: f32) -> f32 {
+        seconds
+    }
+
+    #[inline]
+    fn over<const SHIFT: u32>(self, time: f32) -> f32 {
+        self * time
     }
 
     fn steep<const N: usize>(

@@ -48,6 +48,9 @@ pub trait Scalar:
     /// Gains of any size, of a sum that fixed point saturates at a quarter of its base.
     type Steep<const N: usize>: Copy + Debug;
 
+    /// A time over which a rate acts.
+    type Time: Copy + Debug;
+
     /// An odd function by a table.
     type Table: Clone + Debug;
 
@@ -82,6 +85,12 @@ pub trait Scalar:
 
     /// The same rounded to the nearest, for what adds up over many periods.
     fn accumulate<const N: usize>(gains: &Self::Gains<N>, signals: [Self; N]) -> Self;
+
+    /// A time (s).
+    fn time(seconds: f32) -> Self::Time;
+
+    /// What this rate makes in a time. In fixed point that is 2^−`SHIFT` of it, by the choice of bases.
+    fn over<const SHIFT: u32>(self, time: Self::Time) -> Self;
 
     /// The gains of [`amplify`](Self::amplify), each with the base of its signal. Fixed point refuses 2¹⁴ and more.
     fn steep<const N: usize>(

@@ -43,24 +43,22 @@ pub(super) struct ChannelConfig {
     /// The second channel's injection acts through the plant. Closed over one period it stays stable with the delay too, but
     /// rings: at the paper's gains and 20 kHz its poles have a magnitude of 0.94 instead of 0.69.
     pub horizon: f32,
-    /// Whether the injection corrects a model that runs here (an observer) or acts on the plant (a control).
-    pub observer: bool,
     pub form: Form,
     pub start: Start,
     /// Largest mismatch that is remembered (signal).
     pub range: f32,
-    /// Of the signal and of its rate.
-    pub bases: [Base; 2],
+    /// Of the signal.
+    pub base: Base,
 }
 
 /// Watches a signal whose derivative is a modelled rate plus an unknown one, and tells the unknown one.
 ///
 /// The mismatch σ grows by what the signal moved beyond the integral of its modelled rate; the injection k·g(σ/ε) is
-/// the estimate of the unknown rate. In an observer the injection is part of the model, so it is taken off the
-/// mismatch at the next step; where it acts on the plant, the plant's answer does that.
+/// the estimate of the unknown rate. In an observer the injection is part of the model, so it is taken [off the
+/// mismatch](Self::correct) at the next step; where it acts on the plant, the plant's answer does that.
 #[derive(Clone, Debug)]
 #[repr(C)] // What every step loads comes first, in reach of short loads; the table is last.
-pub(super) struct Channel<S: Scalar> {
+pub(super) struct Channel<S: Scalar, const SHIFT: u32> {
     /// The signal at the last sample.
     before: S,
     /// What the last sample leaves of the next one's mismatch.
@@ -69,11 +67,8 @@ pub(super) struct Channel<S: Scalar> {
     mismatch: S,
     /// The injection g, within ±1.
     value: S,
-    /// Time that the rate at a sample counts in the mismatch there, negative (s).
-    time_now: S::Gains<1>,
-    /// Time that the rate at a sample counts in the mismatch at the next, negative (s).
-    time_after: S::Gains<1>,
-    correction: S::Gains<1>,
+    half_period: S::Time,
+    form: Form,
     limit: S,
     injection: Injection<S>,
     reach: S::Gains<1>,
@@ -83,10 +78,10 @@ pub(super) struct Channel<S: Scalar> {
     base: Base,
 }
 
-impl<S: Scalar> Channel<S> {
+impl<S: Scalar, const SHIFT: u32> Channel<S, SHIFT> {
     pub fn new(config: &ChannelConfig) -> Result<Self, ConfigError> {
-        let ChannelConfig { strength, layer, layer_field, period, horizon, range, .. } = *config;
-        let [base, of_rate] = config.bases;
+        let ChannelConfig { strength, layer, layer_field, period, horizon, range, base, .. } =
+            *config;
         let beta = horizon * strength / layer;
         require(
             beta <= MAX_BETA,
@@ -101,19 +96,17 @@ impl<S: Scalar> Channel<S> {
             "must be at least 1e-7 of the largest mismatch",
             layer,
         )?;
-        let (beta, weight_now) = match config.form {
-            Form::Implicit => (beta, 0.5),
-            Form::Explicit => (0.0, 0.0),
+        let beta = match config.form {
+            Form::Implicit => beta,
+            Form::Explicit => 0.0,
         };
-        let correction = if config.observer { period * strength } else { 0.0 };
         Ok(Self {
             before: S::ZERO,
             memory: S::ZERO,
             mismatch: S::ZERO,
             value: S::ZERO,
-            time_now: S::gains(layer_field, [(-weight_now * period, of_rate)], base)?,
-            time_after: S::gains(layer_field, [((weight_now - 1.0) * period, of_rate)], base)?,
-            correction: S::gains(layer_field, [(-correction, Base::RATIO)], base)?,
+            half_period: S::time(0.5 * period),
+            form: config.form,
             limit: S::constant(layer_field, range + beta * layer, base)?,
             injection: Injection::new(layer_field, beta, layer, base)?,
             reach: S::gains(layer_field, [(-beta * layer, Base::RATIO)], base)?,
@@ -130,13 +123,13 @@ impl<S: Scalar> Channel<S> {
             Start::Matched => signal,
             Start::Zero => S::ZERO,
         };
-        self.memory = -S::combine(&self.time_now, [rate]);
+        self.memory = self.made(rate)[0];
     }
 
     /// Starts at a sample so that the first step gives the injection `value`, within ±0.99. Gives that.
     pub fn resume(&mut self, signal: S, rate: S, value: f32) -> S {
         self.before = signal;
-        self.memory = -S::combine(&self.time_now, [rate]);
+        self.memory = self.made(rate)[0];
         let value = value.clamp(-0.99, 0.99);
         // y + β·ε·tanh(y/ε) = σ.
         let mismatch = self.layer * (atanh(value) + self.beta * value);
@@ -147,14 +140,29 @@ impl<S: Scalar> Channel<S> {
     /// One step: the signal and its modelled rate at this sample → the injection g, within ±1.
     #[inline]
     pub fn step(&mut self, signal: S, rate: S) -> S {
-        let growth = (signal - self.before) + S::accumulate(&self.time_now, [rate]);
+        let [now, after] = self.made(rate);
+        let growth = (signal - self.before) - now;
         self.mismatch = (self.memory + growth).limited(self.limit);
         self.value = self.injection.value(self.mismatch);
         self.before = signal;
-        self.memory = self.mismatch
-            + S::accumulate(&self.time_after, [rate])
-            + S::accumulate(&self.correction, [self.value]);
+        self.memory = self.mismatch - after;
         self.value
+    }
+
+    /// What the injection made the model move by in the period that follows.
+    #[inline]
+    pub fn correct(&mut self, moved: S) {
+        self.memory = self.memory - moved;
+    }
+
+    /// What the rate at a sample counts in the mismatch there and at the next.
+    #[inline]
+    fn made(&self, rate: S) -> [S; 2] {
+        let half = rate.over::<SHIFT>(self.half_period);
+        match self.form {
+            Form::Implicit => [half, half],
+            Form::Explicit => [S::ZERO, half + half],
+        }
     }
 
     /// The sliding variable y, for which the injection is k·tanh(y/ε), in the signal's unit.

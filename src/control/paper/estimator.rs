@@ -20,7 +20,7 @@ use super::channel::{Channel, ChannelConfig, Start};
 use super::config::{Law, PaperConfig};
 use crate::config::ConfigError;
 use crate::math::{Base, Scalar};
-use crate::per_unit::Bases;
+use crate::per_unit::{ACCELERATION, Bases, JERK};
 use crate::trajectory::Reference;
 
 /// Estimator of the disturbance and of the lumped uncertainty of the second backstepping error.
@@ -33,8 +33,9 @@ pub(super) struct Estimator<S: Scalar> {
     /// k1 once more (rad/s²).
     strength: f32,
     acceleration: Base,
-    first: Channel<S>,
-    second: Channel<S>,
+    period: S::Time,
+    first: Channel<S, { ACCELERATION + 1 }>,
+    second: Channel<S, { JERK + 1 }>,
 }
 
 impl<S: Scalar> Estimator<S> {
@@ -45,7 +46,7 @@ impl<S: Scalar> Estimator<S> {
         (speed_range, z2_range): (f32, f32),
         bases: &Bases,
     ) -> Result<Self, ConfigError> {
-        let &Bases { speed, acceleration, jerk, .. } = bases;
+        let &Bases { speed, acceleration, .. } = bases;
         let gains = &config.gains;
         let period = timing.period();
         let integral = config.law == Law::Qismc;
@@ -56,20 +57,18 @@ impl<S: Scalar> Estimator<S> {
             layer_field: "gains.epsilon1",
             period,
             horizon: period,
-            observer: true,
             form: config.form,
             start,
             range: speed_range,
-            bases: [speed, acceleration],
+            base: speed,
         };
         let second = ChannelConfig {
             strength: gains.k2,
             layer: gains.epsilon2,
             layer_field: "gains.epsilon2",
             horizon: timing.horizon(),
-            observer: false,
             range: z2_range,
-            bases: [acceleration, jerk],
+            base: acceleration,
             ..first
         };
         Ok(Self {
@@ -77,6 +76,7 @@ impl<S: Scalar> Estimator<S> {
             k1: S::gains("gains.k1", [(gains.k1, Base::RATIO)], acceleration)?,
             strength: gains.k1,
             acceleration,
+            period: S::time(period),
             first: Channel::new(&first)?,
             second: Channel::new(&second)?,
         })
@@ -117,7 +117,9 @@ impl<S: Scalar> Estimator<S> {
     #[inline]
     pub fn disturbance(&mut self, speed: S, modelled: S, reference: &Reference<S>) -> S {
         let (signal, rate) = self.watched(speed, modelled, reference);
-        S::combine(&self.k1, [self.first.step(signal, rate)])
+        let disturbance = S::combine(&self.k1, [self.first.step(signal, rate)]);
+        self.first.correct(disturbance.over::<ACCELERATION>(self.period));
+        disturbance
     }
 
     /// ζ̂2/k2 = −u2/k2, within ±1, from z2 and the rate −c·z2 − z1 that it is to have.
