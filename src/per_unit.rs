@@ -6,8 +6,8 @@
 //! **Headroom.** A measured speed or current is within its limit, or the sample is a fault before anything is computed from it; an
 //! estimated speed ends in a fault in the period in which it leaves the limit, and cannot have moved further than the encoder,
 //! which is within twice the limit. A sixteenth of full scale for the limit of the speed leaves the difference of two
-//! speeds, which jump from one end to the other, below a quarter. Currents have 64 times their limit, since what the
-//! voltage observer remembers is a current too. The base of accelerations takes four times that current's, that of voltages four
+//! speeds, which jump from one end to the other, below a quarter. Currents have 32 times their limit, since what the
+//! voltage observer remembers is a current too. The base of accelerations takes 2.5 times that current's, that of voltages four
 //! times what full scales of speed, current and jerk take together, and sixteen times the highest bus.
 //!
 //! **Time.** Full scale of the speed is a power of two in counts per period, and each derivative's is [a power of
@@ -56,9 +56,9 @@ impl Bases {
         // In rad.
         let unit = sensors.shaft(timing.period()).unit.abs();
         positive("sensors.counts_per_turn", unit)?;
-        let current = 64.0 * limits.current;
+        let current = 32.0 * limits.current;
         let [per_acceleration, per_jerk] = [ACCELERATION, JERK].map(|by| rate / (1 << by) as f32);
-        let needed = (16.0 * limits.speed).max(4.0 * a2 * current / per_acceleration);
+        let needed = (16.0 * limits.speed).max(2.5 * a2 * current / per_acceleration);
         let speed = unit * rate * above(needed / (unit * rate));
         let acceleration = per_acceleration * speed;
         let jerk = per_jerk * acceleration;

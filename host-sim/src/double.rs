@@ -45,6 +45,7 @@ impl Scalar for Double {
     type Table = Table;
 
     const ZERO: Self = Self(0.0);
+    const ANY_TIME: bool = true;
 
     fn from_f32(value: f32, _base: Base) -> Self {
         Self(value.into())

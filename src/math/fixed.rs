@@ -170,6 +170,7 @@ impl Scalar for Q31 {
     type Table = Table;
 
     const ZERO: Self = Self(0);
+    const ANY_TIME: bool = false;
 
     fn from_f32(value: f32, base: Base) -> Self {
         Self(libm::roundf(value / base.0 * SCALE) as i32)

@@ -31,6 +31,7 @@ impl Scalar for f32 {
     type Table = Table;
 
     const ZERO: Self = 0.0;
+    const ANY_TIME: bool = true;
 
     fn from_f32(value: f32, _base: Base) -> Self {
         value

@@ -57,6 +57,9 @@ pub trait Scalar:
     /// The signal 0.
     const ZERO: Self;
 
+    /// Whether [`over`](Self::over) takes any time: in fixed point only the one that the bases were chosen for.
+    const ANY_TIME: bool;
+
     /// The signal nearest to a value; fixed point saturates. For configuration and commands, not for the loop.
     fn from_f32(value: f32, base: Base) -> Self;
 

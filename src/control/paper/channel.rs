@@ -67,8 +67,10 @@ pub(super) struct Channel<S: Scalar, const SHIFT: u32> {
     mismatch: S,
     /// The injection g, within ±1.
     value: S,
-    half_period: S::Time,
-    form: Form,
+    /// Time that the rate at a sample counts in the mismatch there.
+    time_now: S::Time,
+    /// Time that the rate at a sample counts in the mismatch at the next.
+    time_after: S::Time,
     limit: S,
     injection: Injection<S>,
     reach: S::Gains<1>,
@@ -96,17 +98,23 @@ impl<S: Scalar, const SHIFT: u32> Channel<S, SHIFT> {
             "must be at least 1e-7 of the largest mismatch",
             layer,
         )?;
-        let beta = match config.form {
-            Form::Implicit => beta,
-            Form::Explicit => 0.0,
+        let (beta, time_now) = match config.form {
+            Form::Implicit => (beta, 0.5 * period),
+            Form::Explicit => (0.0, 0.0),
         };
+        require(
+            config.form == Form::Implicit || S::ANY_TIME,
+            "form",
+            "must be implicit in fixed point",
+            0.0,
+        )?;
         Ok(Self {
             before: S::ZERO,
             memory: S::ZERO,
             mismatch: S::ZERO,
             value: S::ZERO,
-            half_period: S::time(0.5 * period),
-            form: config.form,
+            time_now: S::time(time_now),
+            time_after: S::time(period - time_now),
             limit: S::constant(layer_field, range + beta * layer, base)?,
             injection: Injection::new(layer_field, beta, layer, base)?,
             reach: S::gains(layer_field, [(-beta * layer, Base::RATIO)], base)?,
@@ -123,13 +131,13 @@ impl<S: Scalar, const SHIFT: u32> Channel<S, SHIFT> {
             Start::Matched => signal,
             Start::Zero => S::ZERO,
         };
-        self.memory = self.made(rate)[0];
+        self.memory = rate.over::<SHIFT>(self.time_now);
     }
 
     /// Starts at a sample so that the first step gives the injection `value`, within ±0.99. Gives that.
     pub fn resume(&mut self, signal: S, rate: S, value: f32) -> S {
         self.before = signal;
-        self.memory = self.made(rate)[0];
+        self.memory = rate.over::<SHIFT>(self.time_now);
         let value = value.clamp(-0.99, 0.99);
         // y + β·ε·tanh(y/ε) = σ.
         let mismatch = self.layer * (atanh(value) + self.beta * value);
@@ -140,12 +148,11 @@ impl<S: Scalar, const SHIFT: u32> Channel<S, SHIFT> {
     /// One step: the signal and its modelled rate at this sample → the injection g, within ±1.
     #[inline]
     pub fn step(&mut self, signal: S, rate: S) -> S {
-        let [now, after] = self.made(rate);
-        let growth = (signal - self.before) - now;
+        let growth = (signal - self.before) - rate.over::<SHIFT>(self.time_now);
         self.mismatch = (self.memory + growth).limited(self.limit);
         self.value = self.injection.value(self.mismatch);
         self.before = signal;
-        self.memory = self.mismatch - after;
+        self.memory = self.mismatch - rate.over::<SHIFT>(self.time_after);
         self.value
     }
 
@@ -153,16 +160,6 @@ impl<S: Scalar, const SHIFT: u32> Channel<S, SHIFT> {
     #[inline]
     pub fn correct(&mut self, moved: S) {
         self.memory = self.memory - moved;
-    }
-
-    /// What the rate at a sample counts in the mismatch there and at the next.
-    #[inline]
-    fn made(&self, rate: S) -> [S; 2] {
-        let half = rate.over::<SHIFT>(self.half_period);
-        match self.form {
-            Form::Implicit => [half, half],
-            Form::Explicit => [S::ZERO, half + half],
-        }
     }
 
     /// The sliding variable y, for which the injection is k·tanh(y/ε), in the signal's unit.
