@@ -74,7 +74,7 @@ impl ReadsName {
     pub fn label(self) -> &'static str {
         match self {
             Self::All => "16",
-            Self::Shifted => "16, shifted",
+            Self::Shifted => "16 shifted",
             Self::Last => "1",
             Self::Edges => "edges",
         }

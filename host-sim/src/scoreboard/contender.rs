@@ -75,10 +75,8 @@ impl Contender {
 
     /// Its name.
     pub fn name(self) -> String {
-        match self.reads {
-            ReadsName::All => self.rule.name().to_owned(),
-            reads => format!("{}, {} reads", self.rule.name(), reads.label()),
-        }
+        let shifted = if self.reads == ReadsName::Shifted { ", shifted reads" } else { "" };
+        format!("{}{shifted}", self.rule.name())
     }
 
     /// The knob's position (rad/s) at which the ripple of the load-step trial is `ripple` (V rms about the mean): the

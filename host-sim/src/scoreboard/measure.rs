@@ -12,10 +12,6 @@ pub struct LoadStepFigures {
     pub recovery: f64,
     /// RMS of u about its mean, before the step (V).
     pub ripple: f64,
-    /// Its part that is slower than 1 ms: RMS of the means of u over each 1 ms about the mean (V).
-    pub slow_ripple: f64,
-    /// Its part within 1 ms: RMS of u about those means (V). The squares of the two parts sum up to that of the ripple.
-    pub fast_ripple: f64,
     /// RMS of the change of u from one period to the next, before the step (V).
     pub voltage_step: f64,
     /// RMS of ω − ω_d before the step (rad/s).
@@ -24,16 +20,25 @@ pub struct LoadStepFigures {
     pub peak_current: f64,
 }
 
-/// Rate of the windows that tell slow ripple from fast (Hz): slower than the periods, faster than a speed loop.
-const WINDOWS: f64 = 1000.0;
+impl LoadStepFigures {
+    /// The part of the ripple that is noise from period to period (V rms): half the mean square successive difference is its
+    /// power, whatever is slower (von Neumann).
+    pub fn noise(&self) -> f64 {
+        self.voltage_step / 2.0_f64.sqrt()
+    }
+
+    /// The slower rest of the ripple (V rms).
+    pub fn slow_ripple(&self) -> f64 {
+        (self.ripple * self.ripple - self.noise() * self.noise()).max(0.0).sqrt()
+    }
+}
 
 /// Measures a load step: what is steady in `steady_from..step_at`, the dip from `step_at` on (s).
 #[derive(Clone, Debug)]
 pub struct LoadStepMeter {
     steady_from: f64,
     step_at: f64,
-    /// Steady voltages (V), and the windows that they fall into.
-    voltages: Vec<(u64, f64)>,
+    voltages: Vec<f64>,
     steady_square: f64,
     after: Vec<(f64, f64)>,
     peak_current: f64,
@@ -53,9 +58,7 @@ impl LoadStepMeter {
         }
         self.peak_current = self.peak_current.max(frame.current.abs());
         if frame.time < self.step_at {
-            // Slack for the rounding of times.
-            let window = (frame.time * WINDOWS + 1e-6) as u64;
-            self.voltages.push((window, frame.voltage));
+            self.voltages.push(frame.voltage);
             self.steady_square += frame.z1 * frame.z1;
         } else {
             self.after.push((frame.time, frame.z1));
@@ -68,17 +71,9 @@ impl LoadStepMeter {
         if count < 2.0 || self.after.is_empty() {
             return None;
         }
-        let mean = |voltages: &[(u64, f64)]| {
-            voltages.iter().map(|(_, u)| u).sum::<f64>() / voltages.len() as f64
-        };
-        let middle = mean(&self.voltages);
-        let (mut slow_square, mut fast_square) = (0.0, 0.0);
-        for window in self.voltages.chunk_by(|a, b| a.0 == b.0) {
-            let own = mean(window);
-            slow_square += window.len() as f64 * (own - middle) * (own - middle);
-            fast_square += window.iter().map(|(_, u)| (u - own) * (u - own)).sum::<f64>();
-        }
-        let steps = self.voltages.windows(2).map(|pair| pair[1].1 - pair[0].1);
+        let mean = self.voltages.iter().sum::<f64>() / count;
+        let about_mean: f64 = self.voltages.iter().map(|u| (u - mean) * (u - mean)).sum();
+        let steps = self.voltages.windows(2).map(|pair| pair[1] - pair[0]);
         let step_square: f64 = steps.map(|step| step * step).sum();
         let steady_error = (self.steady_square / count).sqrt();
         let dip = self.after.iter().map(|(_, z1)| -z1).fold(0.0, f64::max);
@@ -87,9 +82,7 @@ impl LoadStepMeter {
         Some(LoadStepFigures {
             dip,
             recovery: last_outside.map_or(0.0, |(time, _)| time - self.step_at),
-            ripple: ((slow_square + fast_square) / count).sqrt(),
-            slow_ripple: (slow_square / count).sqrt(),
-            fast_ripple: (fast_square / count).sqrt(),
+            ripple: (about_mean / count).sqrt(),
             voltage_step: (step_square / (count - 1.0)).sqrt(),
             steady_error,
             peak_current: self.peak_current,
@@ -99,21 +92,18 @@ impl LoadStepMeter {
 
 /// The means over several speeds.
 ///
-/// Ripple depends on the speed through the encoder's counts and is of different orders at different speeds: its mean, those of
-/// its parts and that of the voltage step are geometric. The steady error's is quadratic, dip's and recovery's arithmetic; of the peak
+/// Ripple depends on the speed through the encoder's counts and is of different orders at different speeds: its mean, and
+/// that of the voltage step, is geometric. The steady error's is quadratic, dip's and recovery's arithmetic; of the peak
 /// current it is the largest.
 pub fn over_speeds(figures: &[LoadStepFigures]) -> LoadStepFigures {
     let count = figures.len() as f64;
     let mean =
         |read: &dyn Fn(&LoadStepFigures) -> f64| figures.iter().map(read).sum::<f64>() / count;
-    let geometric = |read: &dyn Fn(&LoadStepFigures) -> f64| mean(&|at| read(at).ln()).exp();
     LoadStepFigures {
         dip: mean(&|at| at.dip),
         recovery: mean(&|at| at.recovery),
-        ripple: geometric(&|at| at.ripple),
-        slow_ripple: geometric(&|at| at.slow_ripple),
-        fast_ripple: geometric(&|at| at.fast_ripple),
-        voltage_step: geometric(&|at| at.voltage_step),
+        ripple: mean(&|at| at.ripple.ln()).exp(),
+        voltage_step: mean(&|at| at.voltage_step.ln()).exp(),
         steady_error: mean(&|at| at.steady_error * at.steady_error).sqrt(),
         peak_current: figures.iter().map(|at| at.peak_current).fold(0.0, f64::max),
     }
@@ -207,13 +197,13 @@ mod tests {
     #[test]
     fn a_load_step_worked_by_hand() {
         let mut meter = LoadStepMeter::new(1.0, 1.4);
-        // Steady: u = 1, 4 and 4, 3 in two windows of 1 ms with z1 = ±0.01; ahead of it what must not count.
+        // Steady: u = 1, 3, 3, 1 with z1 = ±0.01; ahead of it what must not count.
         let steady = [
             (0.9, 9.0, 9.0),
-            (1.3, 1.0, 0.01),
-            (1.3005, 4.0, -0.01),
-            (1.301, 4.0, 0.01),
-            (1.3015, 3.0, -0.01),
+            (1.0, 1.0, 0.01),
+            (1.1, 3.0, -0.01),
+            (1.2, 3.0, 0.01),
+            (1.3, 1.0, -0.01),
         ];
         // A dip to −2, and back: outside ±(0.2 + 0.03) last at 1.7.
         let after = [
@@ -232,12 +222,30 @@ mod tests {
         };
         near(figures.dip, 2.0);
         near(figures.recovery, 0.3);
-        near(figures.slow_ripple, 0.5);
-        near(figures.fast_ripple, 1.25_f64.sqrt());
-        near(figures.ripple, 1.5_f64.sqrt());
-        near(figures.voltage_step, (10.0_f64 / 3.0).sqrt());
+        near(figures.ripple, 1.0);
+        near(figures.voltage_step, (8.0_f64 / 3.0).sqrt());
+        near(figures.noise(), (4.0_f64 / 3.0).sqrt());
+        near(figures.slow_ripple(), 0.0);
         near(figures.steady_error, 0.01);
         near(figures.peak_current, 4.0);
+    }
+
+    #[test]
+    fn noise_and_slow_ripple_are_told_apart() {
+        let mut meter = LoadStepMeter::new(0.0, 1.0);
+        // ±0.5 V from period to period in a pattern without memory, on a slow sine of 2 V.
+        let mut bits: u32 = 1;
+        for period in 0..20_000 {
+            bits = bits.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            let noise = if bits >> 31 == 0 { 0.5 } else { -0.5 };
+            let time = f64::from(period) * 5e-5;
+            let voltage = noise + 2.0 * (20.0 * time).sin();
+            meter.add(&Frame { time, voltage, ..Frame::default() });
+        }
+        meter.add(&Frame { time: 1.0, ..Frame::default() });
+        let figures = meter.figures().expect("measured");
+        assert!((figures.noise() / 0.5 - 1.0).abs() < 0.02, "{figures:?}");
+        assert!((figures.slow_ripple() / 2.0_f64.sqrt() - 1.0).abs() < 0.05, "{figures:?}");
     }
 
     #[test]
@@ -258,32 +266,19 @@ mod tests {
             dip: value,
             recovery: value,
             ripple: value,
-            slow_ripple: value,
-            fast_ripple: value,
             voltage_step: value,
             steady_error: value,
             peak_current: value,
         };
         let means = over_speeds(&[at(1.0), at(4.0)]);
-        let expected = LoadStepFigures {
-            dip: 2.5,
-            recovery: 2.5,
-            steady_error: 8.5_f64.sqrt(),
-            peak_current: 4.0,
-            ..at(2.0)
-        };
-        let reads: [fn(&LoadStepFigures) -> f64; 8] = [
-            |at| at.dip,
-            |at| at.recovery,
-            |at| at.ripple,
-            |at| at.slow_ripple,
-            |at| at.fast_ripple,
-            |at| at.voltage_step,
-            |at| at.steady_error,
-            |at| at.peak_current,
-        ];
-        for read in reads {
-            assert!((read(&means) - read(&expected)).abs() < 1e-12, "{means:?}");
+        let expected = [2.5, 2.5, 2.0, 2.0, 8.5_f64.sqrt(), 4.0];
+        let LoadStepFigures { dip, recovery, ripple, voltage_step, steady_error, peak_current } =
+            means;
+        for (value, expected) in [dip, recovery, ripple, voltage_step, steady_error, peak_current]
+            .into_iter()
+            .zip(expected)
+        {
+            assert!((value - expected).abs() < 1e-12, "{means:?}");
         }
     }
 

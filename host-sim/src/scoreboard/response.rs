@@ -39,6 +39,11 @@ impl View {
     pub const OF_DRIVE_CYCLE: &'static [Self] = &[
         Self::of_speed("ECE-15: speed", [0.0, 19.5]),
         Self::of_error("ECE-15: speed error", [0.0, 19.5]),
+        Self {
+            signal: |frame| frame.z1.clamp(-0.2, 0.2),
+            ..Self::of_error("ECE-15: speed error in the first run, cut off at ±0.2", [1.2, 2.75])
+        },
+        Self::of_error("ECE-15: speed error at standstill", [0.5, 0.6]),
     ];
 
     const fn of_error(title: &'static str, span: [f64; 2]) -> Self {

@@ -417,8 +417,6 @@ mod tests {
             dip,
             ripple,
             steady_error,
-            slow_ripple: ripple,
-            fast_ripple: 0.0,
             recovery: 0.01,
             voltage_step: 1.0 / ripple,
             peak_current: 1.0,

@@ -323,8 +323,8 @@ fn player_color(name: &str) -> RGBColor {
         let [r, g, b] = [r, g, b].map(|part| part + (255 - part) / 2);
         RGBColor(r, g, b)
     };
-    let controller = name.split_once(", 16").map(|(controller, _)| controller);
-    of(name).or_else(|| of(controller?).map(lighter)).unwrap_or(RGBColor(0, 0, 0))
+    let shifted = name.strip_suffix(", shifted reads");
+    of(name).or_else(|| of(shifted?).map(lighter)).unwrap_or(RGBColor(0, 0, 0))
 }
 
 /// A case's view by every contender, whose names stand in the legend beside all of them.

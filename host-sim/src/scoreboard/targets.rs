@@ -265,3 +265,73 @@ fn error_targets(fronts: &RigFronts) -> Vec<Target> {
     };
     wrong.collect::<Vec<_>>().into_par_iter().map(judge).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scoreboard::search::{Effort, search};
+
+    /// The drive form against itself under PI's name: no ratio, and at every dip no less ripple.
+    #[test]
+    fn what_is_missed_has_a_measured_reason() {
+        let effort = Effort { first: 0, then: 0, seeds: 0 };
+        let found = search(Family::Drive, &Rig::REFERENCE, effort, || ());
+        let searched =
+            |family| Searched { family, tried: 0, found: found.clone(), fronts: Vec::new() };
+        let fronts = RigFronts {
+            motor: Rig::REFERENCE.machine.name,
+            counts: Rig::REFERENCE.counts,
+            reads: Rig::REFERENCE.reads,
+            families: [Family::Drive, Family::Pi].map(searched).to_vec(),
+            rig: Rig::REFERENCE,
+        };
+        let ratio = ratio_target(&fronts, &fronts, Measure::Ripple, 1.0 / 3.0);
+        assert_eq!(ratio.met, Some(false), "{ratio:?}");
+        let why = ratio.why.expect("missed");
+        assert!(why.because.contains("65536 counts leave"), "{}", why.because);
+        let measured = |what: &str| {
+            let evidence = why.evidence.iter().find(|at| at.what == what).expect("measured");
+            assert_eq!(evidence.own, evidence.peer, "{what}");
+            evidence.own.expect("measured")
+        };
+        // The slow part is the encoder's: 5 mV as it is, a fifth with 16 times the counts, nothing without it.
+        let slow = measured("slower ripple [mV], as searched");
+        assert!((4.0..6.0).contains(&slow), "{slow} mV");
+        assert!(measured("slower ripple [mV], 65536 counts") < 0.3 * slow);
+        assert!(measured("slower ripple [mV], exact sensors") < 0.05 * slow);
+        assert!(measured("slower ripple [mV], edges misplaced by 0.05 counts rms") > 2.0 * slow);
+        let front = front_target(&fronts, Family::Pi, Measure::Ripple);
+        assert_eq!(front.met, Some(false), "{front:?}");
+        assert!(front.measured.starts_with("at 0 of") && front.why.is_some(), "{front:?}");
+        let side = side_target(&fronts, Family::Pi);
+        assert!(side.met == Some(true) && side.why.is_none(), "{side:?}");
+        let end = why::no_tuning(&fronts, 0.1).expect("none there").because;
+        assert!(end.contains("no position of the knob"), "{end}");
+    }
+
+    #[test]
+    fn a_missing_tuning_is_put_down_to_the_requirement_that_it_misses() {
+        let rig = Rig { counts: 1024, ..Rig::REFERENCE };
+        let effort = Effort { first: 0, then: 0, seeds: 0 };
+        let found = search(Family::Drive, &rig, effort, || ());
+        let drive = Searched { family: Family::Drive, tried: 0, found, fronts: Vec::new() };
+        let first = drive.front(Measure::Ripple, true).tunings[0].figures.dip;
+        assert!((0.8..0.95).contains(&first), "{first} rad/s");
+        let fronts = RigFronts {
+            motor: rig.machine.name,
+            counts: rig.counts,
+            reads: rig.reads,
+            families: vec![drive],
+            rig,
+        };
+        let why = why::no_tuning(&fronts, 0.8).expect("none there");
+        assert!(why.because.contains("its steady error is"), "{}", why.because);
+        let steady = |sensors: &str| {
+            let what = format!("steady error [rad/s], {sensors}");
+            let evidence = why.evidence.iter().find(|at| at.what == what).expect("measured");
+            evidence.own.expect("measured")
+        };
+        assert!(steady("as searched") > 0.03);
+        assert!(steady("65536 counts") < 0.003);
+    }
+}

@@ -110,11 +110,11 @@ impl WithSensors {
         self.0.get(sensors as usize)?.as_ref()
     }
 
-    /// The share of the ripple's power that other sensors take away (%), in words: powers add up where parts are independent.
-    fn taken_away(&self, sensors: OtherSensors) -> String {
+    /// The share of the ripple's power that is left with other sensors (%), in words.
+    fn left(&self, sensors: OtherSensors) -> String {
         let power = |sensors| Some(self.with(sensors)?.ripple.powi(2));
         let both = power(OtherSensors::Same).zip(power(sensors));
-        both.map_or("?".to_owned(), |(same, left)| format!("{:.0} %", 100.0 * (1.0 - left / same)))
+        both.map_or("?".to_owned(), |(same, left)| format!("{:.0} %", 100.0 * left / same))
     }
 }
 
@@ -133,32 +133,27 @@ fn evidence(
     OtherSensors::ALL.map(row).to_vec()
 }
 
-/// Ripple in parts: what is slower than 1 ms and what is not, and what is left of each with other sensors.
+/// Ripple in parts: noise from period to period and what is slower, and what is left of them with other sensors.
 pub fn ripple(own: Tuned<'_>, peer: Tuned<'_>) -> Why {
     let (own, peer) = (WithSensors::of(own), WithSensors::of(peer));
     let evidence = [
-        evidence("slow ripple [mV]", &own, Some(&peer), |at| 1e3 * at.slow_ripple),
-        evidence("fast ripple [mV]", &own, Some(&peer), |at| 1e3 * at.fast_ripple),
+        evidence("noise from period to period [mV]", &own, Some(&peer), |at| 1e3 * at.noise()),
+        evidence("slower ripple [mV]", &own, Some(&peer), |at| 1e3 * at.slow_ripple()),
     ]
     .concat();
     let same = own.with(OtherSensors::Same).zip(peer.with(OtherSensors::Same));
     let because = same.map_or("one of them does not run".to_owned(), |(a, b)| {
-        let slow = |at: &LoadStepFigures| {
-            let [slow, fast] = [at.slow_ripple, at.fast_ripple].map(|part| part * part);
-            100.0 * slow / (slow + fast)
-        };
-        let both = |sensors| {
-            format!("{} (peer: {})", own.taken_away(sensors), peer.taken_away(sensors))
-        };
+        let both = |sensors| format!("{} (peer: {})", own.left(sensors), peer.left(sensors));
         format!(
-            "{:.0} % of the ripple's power (peer: {:.0} %) is slower than 1 ms, and there it is 1/{:.2} of the peer's; in the rest 1/{:.2}. \
-             Of the power 65536 counts take away {}, shifted reads {}, exact sensors {}",
-            slow(a),
-            slow(b),
-            b.slow_ripple / a.slow_ripple,
-            b.fast_ripple / a.fast_ripple,
+            "from period to period {} against {} mV, slower {} against {} mV. Of the ripple's power 65536 counts leave {}, \
+             shifted reads {}, misplaced edges {}, exact sensors {}",
+            short(Some(1e3 * a.noise())),
+            short(Some(1e3 * b.noise())),
+            short(Some(1e3 * a.slow_ripple())),
+            short(Some(1e3 * b.slow_ripple())),
             both(OtherSensors::FinestEncoder),
             both(OtherSensors::ShiftedReads),
+            both(OtherSensors::MisplacedEdges),
             both(OtherSensors::Exact),
         )
     });
@@ -244,7 +239,7 @@ impl Side {
     }
 }
 
-fn dip_and_ripple(what: &str, own: &LoadStepFigures, peer: &LoadStepFigures) -> Vec<Evidence> {
+fn all_figures(what: &str, own: &LoadStepFigures, peer: &LoadStepFigures) -> Vec<Evidence> {
     let row = |figure: &str, read: fn(&LoadStepFigures) -> f64| Evidence {
         what: format!("{figure}, {what}"),
         own: Some(read(own)),
@@ -259,57 +254,59 @@ fn dip_and_ripple(what: &str, own: &LoadStepFigures, peer: &LoadStepFigures) -> 
     ]
 }
 
-/// What the drive form trades for the sides that it misses: its tuning at the peer's ripple, and the one of least ripple that misses
-/// none of them.
+/// What the drive form trades for the sides that it misses: its tuning at the peer's ripple, and for each side the one of least ripple
+/// that does not miss it.
 pub fn sides(fronts: &RigFronts, missed: &[Side], own: Tuned<'_>, peer: Tuned<'_>) -> Option<Why> {
     if missed.is_empty() {
         return None;
     }
     let front = fronts.family(Family::Drive)?.front(Measure::Ripple, true);
     let figures = &peer.tried.figures;
-    let mut rows = dip_and_ripple("at the same dip", &own.tried.figures, figures);
+    let mut rows = all_figures("at the same dip", &own.tried.figures, figures);
     let mut parts = Vec::new();
     if let Some(equal) = front.tuning_of_ripple(figures.ripple) {
-        rows.extend(dip_and_ripple("at the peer's ripple or less", &equal.figures, figures));
+        rows.extend(all_figures("at the peer's ripple or less", &equal.figures, figures));
         let still = Side::missed(&equal.figures, figures);
+        let still: Vec<&str> = still.iter().map(|side| side.name()).collect();
         parts.push(format!(
-            "at the peer's ripple it dips by {:.2} against {:.2} rad/s, recovers in {:.1} against {:.1} ms and {}",
+            "at the peer's ripple it dips by {:.2} against {:.2} rad/s and is worse in {}",
             equal.figures.dip,
             figures.dip,
-            1e3 * equal.figures.recovery,
-            1e3 * figures.recovery,
-            if still.is_empty() { "is worse in nothing".to_owned() } else { format!("is worse in {}", names(&still)) },
+            if still.is_empty() { "nothing".to_owned() } else { still.join(" and ") },
         ));
     }
-    let none_missed = front
-        .tunings
-        .iter()
-        .rev()
-        .find(|tried| missed.iter().all(|side| side.held(&tried.figures, figures)));
-    parts.push(match none_missed {
-        Some(tried) => {
-            rows.extend(dip_and_ripple("where nothing is missed", &tried.figures, figures));
-            format!(
-                "no worse in {} from dip {:.2} on ({}), where the ripple is {} against {} mV",
-                names(missed),
-                tried.figures.dip,
-                tried.tuning,
-                short(Some(1e3 * tried.figures.ripple)),
-                short(Some(1e3 * figures.ripple)),
-            )
-        }
-        None => format!("at no dip is it as good in {}", names(missed)),
-    });
+    for side in missed {
+        let name = side.name();
+        let held = front.tunings.iter().rev().find(|tried| side.held(&tried.figures, figures));
+        let Some(tried) = held else {
+            parts.push(format!("no worse {name} at no dip"));
+            continue;
+        };
+        rows.extend(all_figures(&format!("with no worse {name}"), &tried.figures, figures));
+        parts.push(format!(
+            "no worse {name} at dip {:.2} ({}), where the ripple is {} against {} mV",
+            tried.figures.dip,
+            tried.tuning,
+            short(Some(1e3 * tried.figures.ripple)),
+            short(Some(1e3 * figures.ripple)),
+        ));
+    }
     if missed.contains(&Side::SteadyError) {
         let (own, peer) = (WithSensors::of(own), WithSensors::of(peer));
         let read = |at: &LoadStepFigures| at.steady_error;
+        let both = |sensors| {
+            let [own, peer] = [&own, &peer].map(|all| short(all.with(sensors).map(read)));
+            format!("{own} against {peer}")
+        };
+        parts.push(format!(
+            "steady error with shifted reads {}, 65536 counts {}, exact sensors {} rad/s",
+            both(OtherSensors::ShiftedReads),
+            both(OtherSensors::FinestEncoder),
+            both(OtherSensors::Exact)
+        ));
         rows.extend(evidence("steady error [rad/s]", &own, Some(&peer), read));
     }
     Some(Why { because: parts.join("; "), evidence: rows })
-}
-
-fn names(sides: &[Side]) -> String {
-    sides.iter().map(|side| side.name()).collect::<Vec<_>>().join(" and ")
 }
 
 /// With wrong parameters: the drive form's tuning of least ripple that dips no more than the peer, where both were tuned to equal dips
@@ -319,16 +316,16 @@ pub fn dip(fronts: &RigFronts, own: Tuned<'_>, peer: Tuned<'_>) -> Option<Why> {
     let front = fronts.family(Family::Drive)?.front(Measure::Ripple, true);
     let growth = [(own, &with_own), (peer, &with_peer)]
         .map(|(tuned, with)| with.dip / tuned.tried.figures.dip);
-    let mut evidence = dip_and_ripple("as tuned", &with_own, &with_peer);
+    let mut evidence = all_figures("as tuned", &with_own, &with_peer);
     let equal = front.tunings.iter().rev().find_map(|tried| {
         let figures = Tuned { tried, ..own }.trial()?;
         (figures.dip <= with_peer.dip).then_some((tried, figures))
     });
     let equal = match equal {
         Some((tried, figures)) => {
-            evidence.extend(dip_and_ripple("at the peer's dip", &figures, &with_peer));
+            evidence.extend(all_figures("at the peer's dip", &figures, &with_peer));
             format!(
-                "{} dips by {:.2} there and ripples by {} against {} mV",
+                "{} dips by {:.2} there, no more than the peer, and ripples by {} against {} mV",
                 tried.tuning,
                 figures.dip,
                 short(Some(1e3 * figures.ripple)),
@@ -342,4 +339,46 @@ pub fn dip(fronts: &RigFronts, own: Tuned<'_>, peer: Tuned<'_>) -> Option<Why> {
         growth[0], growth[1]
     );
     Some(Why { because, evidence })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_sensor_is_in_its_place() {
+        for (index, sensors) in OtherSensors::ALL.into_iter().enumerate() {
+            assert_eq!(sensors as usize, index, "{}", sensors.name());
+        }
+    }
+
+    #[test]
+    fn reasons_are_joined() {
+        let why = |because: &str| Some(Why { because: because.to_owned(), ..Why::default() });
+        let joined = |first, second| Why::both(first, second).map(|why| why.because);
+        assert_eq!(joined(why("a"), why("b")).as_deref(), Some("a; b"));
+        assert_eq!(joined(None, why("b")).as_deref(), Some("b"));
+        assert_eq!(joined(None, None), None);
+    }
+
+    #[test]
+    fn a_side_is_missed_where_it_is_worse() {
+        let peer = LoadStepFigures {
+            dip: 1.0,
+            recovery: 6e-3,
+            ripple: 5e-3,
+            voltage_step: 1e-3,
+            steady_error: 5e-3,
+            peak_current: 1.5,
+        };
+        assert_eq!(Side::missed(&peer, &peer), []);
+        let own = LoadStepFigures { recovery: 7e-3, peak_current: 1.52, ..peer };
+        assert_eq!(
+            Side::missed(&own, &peer),
+            [Side::Recovery],
+            "1.3 % more current counts as equal"
+        );
+        let own = LoadStepFigures { peak_current: 1.54, steady_error: 6e-3, ..peer };
+        assert_eq!(Side::missed(&own, &peer), [Side::PeakCurrent, Side::SteadyError]);
+    }
 }
