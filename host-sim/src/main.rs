@@ -55,7 +55,8 @@ enum Command {
         #[arg(long, value_name = "FOLDER", conflicts_with = "report")]
         plots: Option<PathBuf>,
     },
-    /// Play every controller in every case at the same voltage ripple, and search the peers' best tunings.
+    /// Play every controller in every case at the same voltage ripple, search the peers' best tunings, and measure why targets
+    /// are missed where they are. Some eight minutes on two cores.
     Bench {
         /// Shorter searches, none for other motors than the paper's, and one seed: less than a minute.
         #[arg(long)]

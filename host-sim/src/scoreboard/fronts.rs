@@ -101,7 +101,7 @@ pub fn search_all(quick: bool, progress: &dyn Fn(u64) -> ProgressBar) -> Vec<Rig
     let effort = if quick {
         Effort { first: 64, then: 96, seeds: 1 }
     } else {
-        Effort { first: 160, then: 320, seeds: 3 }
+        Effort { first: 160, then: 400, seeds: 3 }
     };
     let rigs = rigs(quick);
     let each: usize = Family::ALL.iter().map(|&family| effort.tunings(family)).sum();

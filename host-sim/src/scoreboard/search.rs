@@ -134,8 +134,8 @@ impl Measure {
     /// Its name.
     pub fn name(self) -> &'static str {
         match self {
-            Self::Ripple => "ripple (rms about the mean)",
-            Self::VoltageStep => "voltage step (rms from period to period)",
+            Self::Ripple => "ripple",
+            Self::VoltageStep => "voltage step",
         }
     }
 }

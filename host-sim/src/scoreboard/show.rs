@@ -11,6 +11,7 @@ use crate::plot::{Line, Plot};
 use crate::report::page;
 use crate::terminal::{short, table};
 use anyhow::Result;
+use comfy_table::ContentArrangement;
 use maud::{Markup, PreEscaped, html};
 use plotters::style::RGBColor;
 
@@ -25,6 +26,10 @@ struct Grid {
 impl Grid {
     fn text(&self) -> String {
         let mut table = table(self.columns.clone(), self.text_columns);
+        if self.text_columns == self.columns.len() {
+            // Prose is wrapped.
+            table.set_content_arrangement(ContentArrangement::Dynamic).set_width(180);
+        }
         for row in &self.rows {
             table.add_row(row.clone());
         }
@@ -225,13 +230,19 @@ fn missed(targets: &[Target]) -> impl Iterator<Item = (&Target, &Why)> {
 }
 
 fn missed_grid(targets: &[Target]) -> Grid {
+    // What is missed for one reason stands together.
+    let mut rows: Vec<Vec<String>> = Vec::new();
+    for (target, why) in missed(targets) {
+        match rows.iter_mut().find(|row| row[1] == why.because) {
+            Some(row) => row[0] += &format!("\n{}", target.asked),
+            None => rows.push(vec![target.asked.clone(), why.because.clone()]),
+        }
+    }
     Grid {
         heading: "Missed, and why: as measured with the same tunings on other sensors, and with other tunings".to_owned(),
         columns: strings(["missed", "why"]),
         text_columns: 2,
-        rows: missed(targets)
-            .map(|(target, why)| vec![target.asked.clone(), why.because.clone()])
-            .collect(),
+        rows,
     }
 }
 
@@ -263,9 +274,10 @@ fn grids(board: &Scoreboard) -> Vec<Grid> {
 }
 
 /// What is to be known of the targets.
-const ABOUT_TARGETS: &str = "A longer search can only make a peer better: what is not met stays so, what is met holds against the \
-                             tunings that were found. Tunings at a dip are those of least ripple that dip by it, give or take a \
-                             fiftieth; peak currents count as equal within a fiftieth.";
+const ABOUT_TARGETS: &str = "Ripple is the rms of u about its mean, voltage step that of its change from one period to the next. A longer search can \
+                             only make a peer better: what is not met stays so, what is met holds against the tunings that were found. \
+                             Tunings at a dip are those of least ripple that dip by it, give or take a fiftieth; peak currents count as \
+                             equal within a fiftieth.";
 
 /// The tables, for the terminal.
 pub fn text(board: &Scoreboard) -> String {
@@ -420,7 +432,7 @@ fn front_plot(fronts: &RigFronts, measure: Measure) -> Result<PreEscaped<String>
 
 const STYLE: &str = "body{font-family:sans-serif;max-width:90em;margin:2em auto;padding:0 1em}\
                      table{border-collapse:collapse;font-size:85%}th,td{text-align:right;padding:.15em .6em;\
-                     border-bottom:1px solid #ddd}.text{text-align:left}.key{border-left:1.6em solid;padding-left:.4em;\
+                     border-bottom:1px solid #ddd}.text{text-align:left;white-space:pre-line}.key{border-left:1.6em solid;padding-left:.4em;\
                      margin-right:1em;white-space:nowrap}svg{width:48%;min-width:28em}";
 
 /// The report.

@@ -25,16 +25,16 @@ pub struct Target {
 }
 
 /// Ratios that the targets ask for: counts, reads of the drive form and of the peer, and what the drive form's ripple over PI's may
-/// be. With shifted reads, which the targets do not name, as with 16.
+/// be. With shifted reads, which the targets do not name, as against a PI whose reads are not shifted, since that is better for PI.
 const RATIOS: [(u32, ReadsName, ReadsName, f64); 6] = {
     use ReadsName::{All, Last, Shifted};
     [
         (4096, All, Last, 1.0 / 15.0),
         (4096, All, All, 1.0 / 3.0),
-        (4096, Shifted, Shifted, 1.0 / 3.0),
+        (4096, Shifted, All, 1.0 / 3.0),
         (1024, All, Last, 1.0 / 10.0),
         (1024, All, All, 1.0 / 2.5),
-        (1024, Shifted, Shifted, 1.0 / 2.5),
+        (1024, Shifted, All, 1.0 / 2.5),
     ]
 };
 
@@ -54,11 +54,14 @@ pub fn targets(fronts: &[RigFronts]) -> Vec<Target> {
             targets.extend(Measure::ALL.map(|measure| ratio_target(own, peers, measure, asked)));
         }
     }
-    // The targets are about reads at their times; what shifting them changes is in the fronts and in the reasons.
-    for own in fronts.iter().filter(|at| at.reads == ReadsName::All) {
+    for own in fronts.iter().filter(|at| at.reads != ReadsName::Last) {
+        let beside = (own.motor, own.counts, ReadsName::All);
+        let Some(peers) = fronts.iter().find(|at| (at.motor, at.counts, at.reads) == beside) else {
+            continue;
+        };
         for family in PEERS {
-            targets.extend(Measure::ALL.map(|measure| front_target(own, family, measure)));
-            targets.push(side_target(own, family));
+            targets.extend(Measure::ALL.map(|measure| front_target(own, peers, family, measure)));
+            targets.push(side_target(own, peers, family));
         }
     }
     let targeted = |at: &&RigFronts| (at.counts, at.reads) == (4096, ReadsName::All);
@@ -128,20 +131,20 @@ fn dips() -> impl Iterator<Item = f64> {
 }
 
 /// Whether the drive form's front lies below a peer's wherever there is one.
-fn front_target(fronts: &RigFronts, family: Family, measure: Measure) -> Target {
-    let front = |family| fronts.family(family).map(|searched| searched.front(measure, true));
+fn front_target(own: &RigFronts, peers: &RigFronts, family: Family, measure: Measure) -> Target {
+    let front_of = |searched: Option<_>| searched.map(|at: &Searched| at.front(measure, true));
+    let fronts_of_both = front_of(own.family(Family::Drive)).zip(front_of(peers.family(family)));
     let (mut compared, mut below) = (0, 0);
     let mut ratios: Vec<(f64, f64)> = Vec::new();
     let mut missing = None;
-    let fronts_of_both = front(Family::Drive).zip(front(family));
-    if let Some((own, peer)) = &fronts_of_both {
+    if let Some((drive, peer)) = &fronts_of_both {
         for dip in dips() {
             let Some(peer) = peer.ripple_at(dip) else { continue };
             compared += 1;
-            match own.ripple_at(dip) {
-                Some(own) => {
-                    below += u32::from(own < peer);
-                    ratios.push((peer / own, dip));
+            match drive.ripple_at(dip) {
+                Some(drive) => {
+                    below += u32::from(drive < peer);
+                    ratios.push((peer / drive, dip));
                 }
                 None => missing = Some(dip),
             }
@@ -159,77 +162,80 @@ fn front_target(fronts: &RigFronts, family: Family, measure: Measure) -> Target 
     let why = || {
         let above = || {
             let &(_, dip) = ratios.first().filter(|(ratio, _)| *ratio <= 1.0)?;
-            let (own, peer) = fronts_of_both.as_ref()?;
-            let [own, peer] = [own, peer].map(|front| front.tuning_at(dip));
-            Some(why::ripple(Tuned::of(fronts, own?), Tuned::of(fronts, peer?)))
+            let (drive, peer) = fronts_of_both.as_ref()?;
+            let (drive, peer) = (drive.tuning_at(dip)?, peer.tuning_at(dip)?);
+            let ripple = why::ripple(Tuned::of(own, drive), Tuned::of(peers, peer));
+            Why::both(why::no_calmer(own, dip), Some(ripple))
         };
-        Why::both(missing.and_then(|dip| why::no_tuning(fronts, dip)), above())
+        Why::both(missing.and_then(|dip| why::no_tuning(own, dip)), above())
     };
     let met = (compared > 0).then_some(below == compared);
     Target {
-        asked: format!(
-            "{}: front below that of {} in {}",
-            on(fronts),
-            family.name(),
-            measure.name()
-        ),
+        asked: format!("{}: front below that of {} in {}", on(own), family.name(), measure.name()),
         measured,
         met,
         why: (met == Some(false)).then(why).flatten(),
     }
 }
 
-fn on(fronts: &RigFronts) -> String {
-    format!("{}, {} counts, {} reads", fronts.motor, fronts.counts, fronts.reads.label())
+fn on(own: &RigFronts) -> String {
+    format!("{}, {} counts, {} reads", own.motor, own.counts, own.reads.label())
+}
+
+/// The admissible tuning of least ripple at the dip of the targets.
+fn of_least_ripple(fronts: &RigFronts, family: Family) -> Option<&Tried> {
+    fronts.family(family)?.front(Measure::Ripple, true).tuning_at(TARGET_DIP)
 }
 
 /// Peak current, recovery and steady error at the dip of the targets, beside the peer's tuning of least ripple.
-fn side_target(fronts: &RigFronts, family: Family) -> Target {
-    let at = |family| {
-        let searched: &Searched = fronts.family(family)?;
-        searched.front(Measure::Ripple, true).tuning_at(TARGET_DIP)
-    };
+fn side_target(own: &RigFronts, peers: &RigFronts, family: Family) -> Target {
     let asked = format!(
         "{}: no more peak current, recovery and steady error than {} at dip {TARGET_DIP:.1}",
-        on(fronts),
+        on(own),
         family.name()
     );
-    let (measured, met, why) = match (at(Family::Drive), at(family)) {
-        (Some(own), Some(peer)) => {
-            let missed = Side::missed(&own.figures, &peer.figures);
-            let (own_figures, peer_figures) = (&own.figures, &peer.figures);
-            let measured = format!(
-                "{:.3} against {:.3} A, {:.2} against {:.2} ms, {:.4} against {:.4} rad/s",
-                own_figures.peak_current,
-                peer_figures.peak_current,
-                1e3 * own_figures.recovery,
-                1e3 * peer_figures.recovery,
-                own_figures.steady_error,
-                peer_figures.steady_error
-            );
-            let why = why::sides(fronts, &missed, Tuned::of(fronts, own), Tuned::of(fronts, peer));
-            (measured, Some(missed.is_empty()), why)
-        }
-        (None, _) => (
-            "the drive form has no admissible tuning there".to_owned(),
-            Some(false),
-            why::no_tuning(fronts, TARGET_DIP),
-        ),
-        (_, None) => ("the peer has no admissible tuning there".to_owned(), None, None),
-    };
+    let (measured, met, why) =
+        match (of_least_ripple(own, Family::Drive), of_least_ripple(peers, family)) {
+            (Some(drive), Some(peer)) => {
+                let missed = Side::missed(&drive.figures, &peer.figures);
+                let (own_figures, peer_figures) = (&drive.figures, &peer.figures);
+                let measured = format!(
+                    "{:.3} against {:.3} A, {:.2} against {:.2} ms, {:.4} against {:.4} rad/s",
+                    own_figures.peak_current,
+                    peer_figures.peak_current,
+                    1e3 * own_figures.recovery,
+                    1e3 * peer_figures.recovery,
+                    own_figures.steady_error,
+                    peer_figures.steady_error
+                );
+                let why = why::sides(own, &missed, Tuned::of(own, drive), Tuned::of(peers, peer));
+                (measured, Some(missed.is_empty()), why)
+            }
+            (None, _) => (
+                "the drive form has no admissible tuning there".to_owned(),
+                Some(false),
+                why::no_tuning(own, TARGET_DIP),
+            ),
+            (_, None) => ("the peer has no admissible tuning there".to_owned(), None, None),
+        };
     Target { asked, measured, met, why }
 }
 
 /// With each parameter wrong by itself: the drive form's ripple below, and its dip not above, that of PI, both as tuned for
 /// the dip of the targets on the right motor.
 fn error_targets(fronts: &RigFronts) -> Vec<Target> {
-    let tuning = |family| {
-        let searched: &Searched = fronts.family(family)?;
-        searched.front(Measure::Ripple, true).tuning_at(TARGET_DIP)
+    let Some(own) = of_least_ripple(fronts, Family::Drive) else {
+        return vec![Target {
+            asked: format!(
+                "{}, every parameter error: below PI's ripple and voltage step, dip no larger",
+                fronts.motor
+            ),
+            measured: "the drive form has no admissible tuning there".to_owned(),
+            met: Some(false),
+            why: why::no_tuning(fronts, TARGET_DIP),
+        }];
     };
-    let Some((own, peer)) = tuning(Family::Drive).zip(tuning(Family::Pi)) else {
-        return Vec::new();
-    };
+    let Some(peer) = of_least_ripple(fronts, Family::Pi) else { return Vec::new() };
     let wrong = Case::all().into_iter().filter(|case| case.rig.errors != Errors::NONE);
     let judge = |case: Case| {
         let rig = Rig { errors: case.rig.errors, ..fronts.rig };
@@ -300,10 +306,10 @@ mod tests {
         assert!(measured("slower ripple [mV], 65536 counts") < 0.3 * slow);
         assert!(measured("slower ripple [mV], exact sensors") < 0.05 * slow);
         assert!(measured("slower ripple [mV], edges misplaced by 0.05 counts rms") > 2.0 * slow);
-        let front = front_target(&fronts, Family::Pi, Measure::Ripple);
+        let front = front_target(&fronts, &fronts, Family::Pi, Measure::Ripple);
         assert_eq!(front.met, Some(false), "{front:?}");
         assert!(front.measured.starts_with("at 0 of") && front.why.is_some(), "{front:?}");
-        let side = side_target(&fronts, Family::Pi);
+        let side = side_target(&fronts, &fronts, Family::Pi);
         assert!(side.met == Some(true) && side.why.is_none(), "{side:?}");
         let end = why::no_tuning(&fronts, 0.1).expect("none there").because;
         assert!(end.contains("no position of the knob"), "{end}");

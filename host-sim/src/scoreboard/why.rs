@@ -160,14 +160,29 @@ pub fn ripple(own: Tuned<'_>, peer: Tuned<'_>) -> Why {
     Why { because, evidence }
 }
 
-/// Why the drive form has no admissible tuning at a dip (rad/s): what the calmest of those that dip so little misses.
+/// Why the drive form has no admissible tuning that dips by `dip` (rad/s) or less: what the calmest of those misses.
 pub fn no_tuning(fronts: &RigFronts, dip: f64) -> Option<Why> {
-    let searched = fronts.family(Family::Drive)?;
-    let quick = searched.found.iter().filter(|tried| tried.figures.dip <= 1.02 * dip);
+    let found = &fronts.family(Family::Drive)?.found;
+    let quick = found.iter().filter(|tried| tried.figures.dip <= dip);
     let Some(tried) = quick.max_by(|a, b| a.figures.dip.total_cmp(&b.figures.dip)) else {
         let because = format!("no position of the knob that runs dips by {dip:.1} rad/s or less");
         return Some(Why { because, ..Why::default() });
     };
+    missing(fronts, tried)
+}
+
+/// Why the drive form has no calmer admissible tuning than its calmest, which dips by less than `dip` (rad/s): what the next one misses.
+pub fn no_calmer(fronts: &RigFronts, dip: f64) -> Option<Why> {
+    let searched = fronts.family(Family::Drive)?;
+    let last = searched.front(Measure::Ripple, true).tunings.last()?.figures.dip;
+    let calmer = searched.found.iter().filter(|tried| (last..=dip).contains(&tried.figures.dip));
+    let inadmissible = calmer.filter(|tried| !tried.admissible());
+    let next = inadmissible.min_by(|a, b| a.figures.dip.total_cmp(&b.figures.dip))?;
+    missing(fronts, next)
+}
+
+/// What an inadmissible tuning of the drive form misses.
+fn missing(fronts: &RigFronts, tried: &Tried) -> Option<Why> {
     let tuned = Tuned::of(fronts, tried);
     let at = format!("at dip {:.2} ({})", tried.figures.dip, tried.tuning);
     match tried.misses? {
