@@ -58,7 +58,7 @@ enum Command {
     /// Play every controller in every case at the same voltage ripple, search the peers' best tunings, and measure why targets
     /// are missed where they are. Some eight minutes on two cores.
     Bench {
-        /// Shorter searches, none for other motors than the paper's, and one seed: less than a minute.
+        /// Shorter searches, only on the paper's motor with 4096 and 1024 counts, and one seed: half a minute.
         #[arg(long)]
         quick: bool,
         /// Print one JSON object instead of tables.

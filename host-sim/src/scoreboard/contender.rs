@@ -6,7 +6,6 @@ use crate::scenario::{
     Control, Controller, GainsTable, LadrcTable, PiTable, Scenario, SpeedName, StartName, Tuning,
 };
 use crate::sensors::ReadsName;
-use serde::Serialize;
 
 /// A controller with all its numbers: what it writes into a scenario.
 #[derive(Clone, Copy, Debug, Default)]
@@ -36,8 +35,7 @@ impl Setup {
 }
 
 /// A rule that sets a controller by one knob, a bandwidth (rad/s).
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "kebab-case")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Rule {
     /// The drive form of BS-QSMDO, by its observer's bandwidth.
     DriveQsmdo,

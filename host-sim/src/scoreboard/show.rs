@@ -6,7 +6,7 @@ use super::response::Response;
 use super::search::{Family, Measure};
 use super::targets::Target;
 use super::why::Why;
-use super::{CaseFigures, MATCHED_RIPPLE, Matched, Played, Scoreboard, TARGET_DIP};
+use super::{CaseFigures, Figure, MATCHED_RIPPLE, Matched, Played, Scoreboard, TARGET_DIP};
 use crate::plot::{Line, Plot};
 use crate::report::page;
 use crate::terminal::{short, table};
@@ -93,13 +93,13 @@ fn matched_grid(matched: &[Matched]) -> Grid {
 
 fn case_grid(cases: &[Played]) -> Grid {
     let mut columns = strings(["case", "controller"]);
-    columns.extend(CaseFigures::FIELDS.map(|(name, unit, _, _, _)| format!("{name} [{unit}]")));
+    columns.extend(CaseFigures::ALL.map(|figure| format!("{} [{}]", figure.name, figure.unit)));
     columns.push("failed".to_owned());
     let mut before = "";
     let row = |at: &'_ Played, first: bool| {
         let mut row = vec![if first { at.case.clone() } else { String::new() }, at.player.clone()];
         let (mut middle, mut worst) = (at.median, at.worst);
-        row.extend(CaseFigures::FIELDS.map(|(_, _, scale, _, field)| {
+        row.extend(CaseFigures::ALL.map(|Figure { scale, field, .. }| {
             let [middle, worst] = [field(&mut middle), field(&mut worst)]
                 .map(|value| short(value.map(|value| scale * value)));
             if middle == worst { middle } else { format!("{middle} ({worst})") }
@@ -274,10 +274,10 @@ fn grids(board: &Scoreboard) -> Vec<Grid> {
 }
 
 /// What is to be known of the targets.
-const ABOUT_TARGETS: &str = "Ripple is the rms of u about its mean, voltage step that of its change from one period to the next. A longer search can \
-                             only make a peer better: what is not met stays so, what is met holds against the tunings that were found. \
-                             Tunings at a dip are those of least ripple that dip by it, give or take a fiftieth; peak currents count as \
-                             equal within a fiftieth.";
+const ABOUT_TARGETS: &str = "Ripple is the rms of u about its mean, voltage step that of its change from one period to the \
+                             next. A longer search can only make a peer better: what is not met stays so, what is met \
+                             holds against the tunings that were found. Tunings at a dip are those of least ripple that \
+                             dip by it, give or take a fiftieth; peak currents count as equal within a fiftieth.";
 
 /// The tables, for the terminal.
 pub fn text(board: &Scoreboard) -> String {
@@ -293,12 +293,12 @@ pub fn text(board: &Scoreboard) -> String {
 pub fn csv(board: &Scoreboard) -> Result<String> {
     let mut rows = csv::Writer::from_writer(Vec::new());
     let names = ["motor", "encoder_counts_per_turn", "case", "contender", "statistic"];
-    let columns = CaseFigures::FIELDS.map(|(_, _, _, column, _)| column);
+    let columns = CaseFigures::ALL.map(|figure| figure.column);
     rows.write_record(names.into_iter().chain(columns).chain(["failed_seeds", "failure"]))?;
     for at in &board.cases {
         for (statistic, mut figures) in [("median", at.median), ("worst", at.worst)] {
             let counts = at.counts.to_string();
-            let values = CaseFigures::FIELDS.map(|(_, _, _, _, field)| {
+            let values = CaseFigures::ALL.map(|Figure { field, .. }| {
                 field(&mut figures).map_or(String::new(), |value| value.to_string())
             });
             let names = [at.motor, &counts, &at.case, &at.player, statistic].map(str::to_owned);

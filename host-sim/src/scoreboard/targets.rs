@@ -24,8 +24,8 @@ pub struct Target {
     pub why: Option<Why>,
 }
 
-/// Ratios that the targets ask for: counts, reads of the drive form and of the peer, and what the drive form's ripple over PI's may
-/// be. With shifted reads, which the targets do not name, as against a PI whose reads are not shifted, since that is better for PI.
+/// Ratios that the targets ask for: counts, reads of the drive form and of the peer, and what the drive form's ripple over PI's
+/// may be. The targets name no shifted reads; they are held against a PI without, to which shifting does harm.
 const RATIOS: [(u32, ReadsName, ReadsName, f64); 6] = {
     use ReadsName::{All, Last, Shifted};
     [

@@ -171,7 +171,7 @@ pub fn no_tuning(fronts: &RigFronts, dip: f64) -> Option<Why> {
     missing(fronts, tried)
 }
 
-/// Why the drive form has no calmer admissible tuning than its calmest, which dips by less than `dip` (rad/s): what the next one misses.
+/// Why the drive form's calmest admissible tuning dips by less than `dip` (rad/s): what the next calmer one misses.
 pub fn no_calmer(fronts: &RigFronts, dip: f64) -> Option<Why> {
     let searched = fronts.family(Family::Drive)?;
     let last = searched.front(Measure::Ripple, true).tunings.last()?.figures.dip;
@@ -203,8 +203,8 @@ fn missing(fronts: &RigFronts, tried: &Tried) -> Option<Why> {
             let all = WithSensors::of(tuned);
             let left = |sensors| short(all.with(sensors).map(|at| at.steady_error));
             let because = format!(
-                "{at} its steady error is {} rad/s, {LARGEST_STEADY_ERROR} allowed: {} at {speed:.0} rad/s, {} or less at the other \
-                 speeds. With shifted reads {}, 65536 counts {}, exact sensors {} rad/s",
+                "{at} its steady error is {} rad/s, {LARGEST_STEADY_ERROR} allowed: {} at {speed:.0} rad/s, {} or less at \
+                 the other speeds. With shifted reads {}, 65536 counts {}, exact sensors {} rad/s",
                 short(Some(tried.figures.steady_error)),
                 short(Some(worst.steady_error)),
                 short(Some(second.steady_error)),
@@ -269,8 +269,8 @@ fn all_figures(what: &str, own: &LoadStepFigures, peer: &LoadStepFigures) -> Vec
     ]
 }
 
-/// What the drive form trades for the sides that it misses: its tuning at the peer's ripple, and for each side the one of least ripple
-/// that does not miss it.
+/// What the drive form trades for the sides that it misses: its tuning at the peer's ripple, and for each side the tuning of
+/// least ripple that does not miss it.
 pub fn sides(fronts: &RigFronts, missed: &[Side], own: Tuned<'_>, peer: Tuned<'_>) -> Option<Why> {
     if missed.is_empty() {
         return None;
@@ -324,8 +324,8 @@ pub fn sides(fronts: &RigFronts, missed: &[Side], own: Tuned<'_>, peer: Tuned<'_
     Some(Why { because: parts.join("; "), evidence: rows })
 }
 
-/// With wrong parameters: the drive form's tuning of least ripple that dips no more than the peer, where both were tuned to equal dips
-/// on the right motor.
+/// With wrong parameters: the drive form's tuning of least ripple that dips no more than the peer, where both were tuned to
+/// equal dips on the right motor.
 pub fn dip(fronts: &RigFronts, own: Tuned<'_>, peer: Tuned<'_>) -> Option<Why> {
     let (with_own, with_peer) = (own.trial()?, peer.trial()?);
     let front = fronts.family(Family::Drive)?.front(Measure::Ripple, true);
