@@ -452,13 +452,13 @@ pub fn html(board: &Scoreboard) -> Result<String> {
         }
         ul { @for rule in Rule::ALL { li { b { (rule.name()) } ": " (rule.in_words()) } } }
         (response_section(&board.cases)?)
-        @if !board.targets.is_empty() { p { (ABOUT_TARGETS) } }
-        @for grid in grids(board).into_iter().rev() { (grid.html()) }
-        @if !board.targets.is_empty() { (evidence_grid(&board.targets).html()) }
         @if !plots.is_empty() {
             h2 { "Fronts of dip over ripple, of the tunings that are stable with every parameter error and recover within 12 ms" }
             @for plot in plots { (plot) }
         }
+        @if !board.targets.is_empty() { p { (ABOUT_TARGETS) } }
+        @for grid in grids(board).into_iter().rev() { (grid.html()) }
+        @if !board.targets.is_empty() { (evidence_grid(&board.targets).html()) }
     };
     Ok(page("quasidrive: scoreboard", STYLE, &body))
 }
