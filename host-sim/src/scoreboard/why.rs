@@ -32,12 +32,14 @@ pub struct Evidence {
 impl Why {
     /// Two reasons for one thing; nothing if there is neither.
     pub fn both(first: Option<Self>, second: Option<Self>) -> Option<Self> {
-        let (Some(mut first), Some(second)) = (first.clone(), second.clone()) else {
-            return first.or(second);
-        };
-        first.because = format!("{}; {}", first.because, second.because);
-        first.evidence.extend(second.evidence);
-        Some(first)
+        match (first, second) {
+            (Some(mut first), Some(second)) => {
+                first.because = format!("{}; {}", first.because, second.because);
+                first.evidence.extend(second.evidence);
+                Some(first)
+            }
+            (first, second) => first.or(second),
+        }
     }
 }
 
@@ -164,7 +166,7 @@ pub fn ripple(own: Tuned<'_>, peer: Tuned<'_>) -> Why {
 pub fn no_tuning(fronts: &RigFronts, dip: f64) -> Option<Why> {
     let found = &fronts.family(Family::Drive)?.found;
     let quick = found.iter().filter(|tried| tried.figures.dip <= dip);
-    let Some(tried) = quick.max_by(|a, b| a.figures.dip.total_cmp(&b.figures.dip)) else {
+    let Some(tried) = quick.min_by(|a, b| a.figures.ripple.total_cmp(&b.figures.ripple)) else {
         let because = format!("no position of the knob that runs dips by {dip:.1} rad/s or less");
         return Some(Why { because, ..Why::default() });
     };
@@ -187,7 +189,7 @@ fn missing(fronts: &RigFronts, tried: &Tried) -> Option<Why> {
     let at = format!("at dip {:.2} ({})", tried.figures.dip, tried.tuning);
     match tried.misses? {
         Requirement::Recovery => Some(Why {
-            because: format!("{at} it recovers in {:.1} ms, not 12", 1e3 * tried.figures.recovery),
+            because: format!("{at} it recovers in {:.2} ms, not 12", 1e3 * tried.figures.recovery),
             ..Why::default()
         }),
         Requirement::ParameterErrors => {
