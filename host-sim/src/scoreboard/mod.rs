@@ -35,7 +35,7 @@ use response::Response;
 use rig::{Errors, Rig};
 use search::{Family, Measure};
 use serde::Serialize;
-use targets::{Target, targets};
+use targets::{Target, judge};
 
 /// What to do.
 #[derive(Clone, Debug)]
@@ -354,7 +354,7 @@ pub fn run(options: &Options, progress: &dyn Fn(u64) -> ProgressBar) -> Result<S
         })
         .collect();
     bar.finish_and_clear();
-    let targets = targets(&fronts);
+    let targets = judge(&fronts);
     Ok(Scoreboard { quick: options.quick, matched, cases: played, fronts, targets })
 }
 

@@ -42,7 +42,7 @@ const RATIOS: [(u32, ReadsName, ReadsName, f64); 6] = {
 const PEERS: [Family; 2] = [Family::Pi, Family::Ladrc];
 
 /// Judges every target on what was searched.
-pub fn targets(fronts: &[RigFronts]) -> Vec<Target> {
+pub fn judge(fronts: &[RigFronts]) -> Vec<Target> {
     let find = |counts, reads| {
         fronts
             .iter()
