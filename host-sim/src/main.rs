@@ -57,9 +57,10 @@ enum Command {
         #[arg(long, value_name = "FOLDER", conflicts_with = "report")]
         plots: Option<PathBuf>,
     },
-    /// Play every controller in every case at the same voltage ripple, and search the peers' best tunings.
+    /// Play every controller in every case at the same voltage ripple, search the peers' best tunings, and measure why targets
+    /// are missed where they are. Some eight minutes on two cores.
     Bench {
-        /// Shorter searches, none for other motors than the paper's, and one seed: less than a minute.
+        /// Shorter searches, only on the paper's motor with 4096 and 1024 counts, and one seed: half a minute.
         #[arg(long)]
         quick: bool,
         /// Print one JSON object instead of tables.
@@ -68,6 +69,15 @@ enum Command {
         /// Write an HTML report.
         #[arg(long, value_name = "OUT")]
         report: Option<PathBuf>,
+        /// Write every contender's figures in every case to a CSV file, a row for the median over the seeds and one for the
+        /// worst.
+        ///
+        /// Columns, in SI units: motor, encoder_counts_per_turn, case, contender, statistic (median or worst),
+        /// rms_error_rad_per_s, peak_error_rad_per_s, dip_rad_per_s, recovery_s, overshoot_per_unit (of the command's jump),
+        /// peak_current_a, voltage_step_v, load_torque_error_n_m, failed_seeds, failure (the first one's reason). What a case or
+        /// a contender does not have is empty.
+        #[arg(long, value_name = "OUT")]
+        csv: Option<PathBuf>,
         /// Seeds that every case is played with [default: 5, with --quick 1].
         #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1000))]
         seeds: Option<u64>,
@@ -279,7 +289,7 @@ fn execute(command: Command) -> Result<ExitCode> {
             }
             Ok(exit_code(&runs))
         }
-        Command::Bench { quick, json, report, seeds, case } => {
+        Command::Bench { quick, json, report, csv, seeds, case } => {
             let seeds = seeds.unwrap_or(if quick { 1 } else { 5 });
             let board =
                 scoreboard::run(&scoreboard::Options { quick, seeds, case }, &progress_bar)?;
@@ -287,6 +297,9 @@ fn execute(command: Command) -> Result<ExitCode> {
                 writeln!(stdout(), "{}", serde_json::to_string_pretty(&board)?)?;
             } else {
                 writeln!(stdout(), "{}", scoreboard::show::text(&board))?;
+            }
+            if let Some(out) = csv {
+                write(&out, &scoreboard::show::csv(&board)?)?;
             }
             if let Some(out) = report {
                 write(&out, &scoreboard::show::html(&board)?)?;

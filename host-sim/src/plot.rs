@@ -6,7 +6,7 @@ use std::ops::Range;
 
 /// A line of a plot.
 pub struct Line {
-    /// Its name in the legend.
+    /// Its name in the legend; empty for none.
     pub name: String,
     /// Its colour; lines of one thing have one colour in every plot.
     pub color: RGBColor,
@@ -110,10 +110,17 @@ impl Plot {
             } else {
                 chart.draw_series(LineSeries::new(points, style))?
             };
+            if line.name.is_empty() {
+                continue;
+            }
             // The library guesses the width of a label, and guesses short.
             drawn.label(format!("{}  ", line.name)).legend(move |(x, y)| {
                 PathElement::new([(x, y), (x + 16, y)], color.stroke_width(2))
             });
+        }
+        if self.lines.iter().all(|line| line.name.is_empty()) {
+            root.present()?;
+            return Ok(());
         }
         chart
             .configure_series_labels()

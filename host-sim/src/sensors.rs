@@ -6,7 +6,7 @@ use quasidrive::sense::{Calibration, Reads};
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 use rand_distr::{Distribution, Normal};
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 /// `[sensors]`: what stands between the truth and the drive. Without the table sensors are exact.
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq)]
@@ -55,7 +55,7 @@ impl Default for SensorsTable {
 }
 
 /// Which reads of the encoder's counter count.
-#[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, Deserialize, Serialize, PartialEq, Eq)]
 #[serde(rename_all = "kebab-case")]
 pub enum ReadsName {
     /// All 16.
@@ -67,6 +67,18 @@ pub enum ReadsName {
     Last,
     /// The last, and the speed from the times of edges.
     Edges,
+}
+
+impl ReadsName {
+    /// What a table shows.
+    pub fn label(self) -> &'static str {
+        match self {
+            Self::All => "16",
+            Self::Shifted => "16 shifted",
+            Self::Last => "1",
+            Self::Edges => "edges",
+        }
+    }
 }
 
 impl SensorsTable {
@@ -154,17 +166,21 @@ impl Sensors {
     pub fn read_encoder(&mut self, read: usize, angle: f64) {
         let turned = if self.table.encoder_reversed { -angle } else { angle };
         let position = turned / std::f64::consts::TAU * f64::from(self.table.counts_per_turn);
-        let below = position.floor();
-        let edge =
-            |count: f64| count + self.edges[count.rem_euclid(self.edges.len() as f64) as usize];
-        let count = if position < edge(below) {
-            below - 1.0
-        } else if position >= edge(below + 1.0) {
-            below + 1.0
-        } else {
-            below
+        let towards_zero = position as i64;
+        let below = towards_zero - i64::from(position < towards_zero as f64);
+        // Edges that are all in their places need not be looked up, 16 times a period.
+        let misplaced =
+            if self.table.edge_error > 0.0 { self.misplaced(position, below) } else { 0 };
+        let count = below + misplaced;
+        self.encoder[read] = count as u16;
+    }
+
+    /// How much a position (counts) reads beyond the count below it for the misplacement of the edges next to it.
+    fn misplaced(&self, position: f64, below: i64) -> i64 {
+        let edge = |count: i64| {
+            count as f64 + self.edges[count.rem_euclid(self.edges.len() as i64) as usize]
         };
-        self.encoder[read] = count as i64 as u16;
+        i64::from(position >= edge(below + 1)) - i64::from(position < edge(below))
     }
 
     /// A period's sample, of the current (A) and the bus voltage (V) at its end and the counter's reads.

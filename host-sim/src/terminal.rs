@@ -49,6 +49,16 @@ pub fn table(header: Vec<String>, text_columns: usize) -> Table {
     table
 }
 
+/// A number with three significant digits.
+pub fn short(value: Option<f64>) -> String {
+    let Some(value) = value else { return "–".to_owned() };
+    if value == 0.0 || !(1e-4..1e5).contains(&value.abs()) {
+        return number(Some(value));
+    }
+    let decimals = (2 - value.abs().log10().floor() as i32).max(0) as usize;
+    format!("{value:.decimals$}")
+}
+
 /// One column per run, whole and steady.
 pub fn metrics_table(runs: &[(String, Metrics)]) -> Table {
     let mut header = vec!["".to_owned(), "unit".to_owned()];

@@ -254,7 +254,7 @@ fn bench_plays_a_case_by_every_controller() {
     assert!(output.stderr.is_empty(), "no progress bar in a pipe");
     let board: Value = serde_json::from_slice(&output.stdout).expect("one JSON object");
     let played = board["cases"].as_array().expect("cases");
-    assert_eq!(played.len(), 7);
+    assert_eq!(played.len(), 10);
     let figure = |player: &str, name: &str| {
         let of = played.iter().find(|at| at["player"] == player).expect(player);
         assert_eq!((&of["case"], &of["failed"]), (&"load steps".into(), &0.into()), "{player}");
@@ -266,11 +266,65 @@ fn bench_plays_a_case_by_every_controller() {
     let recovery = figure("drive BS-QSMDO", "recovery");
     assert!((0.004..0.009).contains(&recovery), "{recovery} s");
     assert!(figure("plain BS", "dip") > 1.5 * dip, "plain BS has nothing against the load");
+    let shifted = figure("drive BS-QSMDO, shifted reads", "dip");
+    assert!(shifted != dip && (0.7..1.2).contains(&shifted), "{shifted} rad/s with shifted reads");
     for matched in board["matched"].as_array().expect("matched") {
         let ripple = matched["figures"]["ripple"].as_f64().expect("matched");
         assert!((8e-3..=10e-3).contains(&ripple), "{matched}");
     }
     assert_eq!(board["fronts"], Value::Array(Vec::new()), "nothing was searched");
+}
+
+#[test]
+fn bench_writes_a_row_for_every_contender_and_statistic() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let out = folder.path().join("board.csv");
+    let arguments =
+        ["bench", "--quick", "--seeds", "2", "--json", "--case", "1024 counts", "--csv"];
+    let output = host_sim().args(arguments).arg(&out).output().expect("runs");
+    assert!(output.status.success());
+    let board: Value = serde_json::from_slice(&output.stdout).expect("one JSON object");
+    let mut rows = csv::Reader::from_path(&out).expect("written");
+    let columns: Vec<String> = rows.headers().expect("columns").iter().map(str::to_owned).collect();
+    let expected = [
+        "motor",
+        "encoder_counts_per_turn",
+        "case",
+        "contender",
+        "statistic",
+        "rms_error_rad_per_s",
+        "peak_error_rad_per_s",
+        "dip_rad_per_s",
+        "recovery_s",
+        "overshoot_per_unit",
+        "peak_current_a",
+        "voltage_step_v",
+        "load_torque_error_n_m",
+        "failed_seeds",
+        "failure",
+    ];
+    assert_eq!(columns, expected, "whoever reads these files counts on the names");
+    let help = host_sim().args(["bench", "--help"]).output().expect("runs").stdout;
+    let help = String::from_utf8_lossy(&help).into_owned();
+    for column in expected {
+        assert!(help.contains(column), "{column} is not in the help");
+    }
+    let rows: Vec<_> = rows.records().map(|row| row.expect("a row")).collect();
+    let played = board["cases"].as_array().expect("cases");
+    assert_eq!(rows.len(), 2 * played.len());
+    for (pair, at) in rows.chunks(2).zip(played) {
+        for (row, statistic) in pair.iter().zip(["median", "worst"]) {
+            let names = ["paper", "1024", "1024 counts", at["player"].as_str().expect("a name")];
+            assert_eq!(row.iter().take(5).collect::<Vec<_>>(), [&names[..], &[statistic]].concat());
+            // In SI units, as in JSON.
+            for (column, field) in [(5, "rms_error"), (8, "recovery"), (11, "voltage_step")] {
+                let value: f64 = row[column].parse().expect("a number");
+                let expected = at[statistic][field].as_f64().expect("a number");
+                assert!((value / expected - 1.0).abs() < 1e-12, "{field} of {row:?}");
+            }
+            assert_eq!(row[12].is_empty(), at[statistic]["estimation_error"].is_null(), "{row:?}");
+        }
+    }
 }
 
 #[test]
@@ -285,6 +339,17 @@ fn bench_reports_and_refuses() {
     bench("start while turning").success().stdout(contains("drive BS-QISMC"));
     let page = std::fs::read_to_string(&out).expect("written");
     assert!(page.contains("start while turning") && page.contains("</html>"));
+    assert!(!page.contains("<svg"), "this case shows no responses");
+    bench("reversal").success();
+    let page = std::fs::read_to_string(&out).expect("written");
+    assert!(page.len() < 3_000_000, "{} bytes", page.len());
+    assert_eq!(page.matches("<svg").count(), 2, "speed and speed error");
+    assert!(
+        page.contains("reversal: speed error") && page.contains("drive BS-QSMDO, shifted reads")
+    );
+    // Every contender's line and the reference.
+    let error = page.rsplit("<svg").next().expect("drawn");
+    assert!(error.matches("<polyline").count() >= 10, "a line for each contender");
     bench("no such case").code(1).stderr(contains("there are: paper's cycle"));
     host_sim().args(["bench", "--seeds", "0"]).assert().code(2);
 }

@@ -2,9 +2,11 @@
 
 use super::drive_cycle::DriveCycle;
 use super::motors::Machine;
+use super::response::View;
 use super::rig::{BUS, Errors, Rig};
 use crate::profile::{Load, Sine, Step};
 use crate::scenario::{Initial, Scenario, ShapeName};
+use crate::sensors::ReadsName;
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 use std::f64::consts::TAU;
@@ -18,13 +20,15 @@ pub struct Case {
     pub rig: Rig,
     /// Time of a load step to be measured (s), with 0.1 s of steady running ahead of it.
     pub load_step: Option<f64>,
+    /// What the report shows of it.
+    pub views: &'static [View],
     play: fn(&Rig, u64) -> Scenario,
 }
 
 impl Case {
-    /// The scenario, without controller, for a seed of everything random in it.
-    pub fn scenario(&self, seed: u64) -> Scenario {
-        (self.play)(&self.rig, seed)
+    /// The scenario, without controller, with the reads of the encoder that count, for a seed of everything random in it.
+    pub fn scenario(&self, reads: ReadsName, seed: u64) -> Scenario {
+        (self.play)(&Rig { reads, ..self.rig }, seed)
     }
 
     /// All cases, in the order they are shown.
@@ -33,22 +37,32 @@ impl Case {
             name: name.to_owned(),
             rig: Rig::REFERENCE,
             load_step: None,
+            views: &[],
             play,
         };
+        let shown = |name: &str, views, play| Self { views, ..case(name, play) };
         let mut cases = vec![
             case("paper's cycle", paper_cycle),
             case("paper's cycle, jumps", paper_cycle_with_jumps),
-            case("ECE-15", ece_15),
+            shown("ECE-15", View::OF_DRIVE_CYCLE, ece_15),
             case("sinusoidal load", sinusoidal_load),
             case("random load", random_load),
-            case("reversal", reversal),
+            shown("reversal", View::OF_REVERSAL, reversal),
             case("low speed", low_speed),
             case("start while turning", start_while_turning),
             case("bus sag", bus_sag),
         ];
-        let steps =
-            |name: String, rig| Self { name, rig, load_step: Some(LOAD_STEP_AT), play: load_steps };
-        cases.push(steps("load steps".to_owned(), Rig::REFERENCE));
+        let steps = |name: String, rig| Self {
+            name,
+            rig,
+            load_step: Some(LOAD_STEP_AT),
+            views: &[],
+            play: load_steps,
+        };
+        cases.push(Self {
+            views: View::OF_LOAD_STEP,
+            ..steps("load steps".to_owned(), Rig::REFERENCE)
+        });
         let wrong = |name: &str, errors| steps(name.to_owned(), Rig { errors, ..Rig::REFERENCE });
         let none = Errors::NONE;
         cases.extend([
@@ -189,19 +203,19 @@ fn bus_sag(rig: &Rig, seed: u64) -> Scenario {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scoreboard::contender::Contender;
+    use crate::scoreboard::contender::Rule;
     use std::path::Path;
 
     #[test]
-    fn every_case_is_a_valid_scenario_for_every_contender() {
+    fn every_case_is_a_valid_scenario_for_every_rule() {
         let cases = Case::all();
         assert_eq!(cases.len(), 9 + 1 + 6 + 3 + 3);
         for case in &cases {
-            for contender in Contender::ALL {
-                let mut scenario = case.scenario(1);
-                contender.setup(1000.0, &case.rig.machine).put_into(&mut scenario);
+            for rule in Rule::ALL {
+                let mut scenario = case.scenario(ReadsName::All, 1);
+                rule.setup(1000.0, &case.rig.machine).put_into(&mut scenario);
                 if let Err(error) = scenario.recheck(Path::new(&case.name)) {
-                    unreachable!("{}: {error}", contender.name());
+                    unreachable!("{}: {error}", rule.name());
                 }
             }
         }
@@ -211,7 +225,7 @@ mod tests {
     fn the_believed_motor_is_the_right_one_whatever_the_true_one_is() {
         for case in Case::all() {
             let motor = case.rig.machine.motor;
-            let believed = case.scenario(1).drive_config().motor;
+            let believed = case.scenario(ReadsName::All, 1).drive_config().motor;
             assert!((f64::from(believed.inertia) / motor.inertia - 1.0).abs() < 1e-6);
             assert!((f64::from(believed.resistance) / motor.resistance - 1.0).abs() < 1e-6);
             let constant = f64::from(believed.back_emf_constant) / motor.back_emf_constant;
@@ -222,9 +236,13 @@ mod tests {
     #[test]
     fn seeds_change_the_random_load_and_nothing_else_of_the_load() {
         for case in Case::all() {
-            let differs = case.scenario(1).load != case.scenario(2).load;
+            let differs =
+                case.scenario(ReadsName::All, 1).load != case.scenario(ReadsName::All, 2).load;
             assert_eq!(differs, case.name == "random load");
-            assert_eq!(case.scenario(3).load, case.scenario(3).load);
+            assert_eq!(
+                case.scenario(ReadsName::All, 3).load,
+                case.scenario(ReadsName::All, 3).load
+            );
         }
     }
 }

@@ -5,7 +5,7 @@ use super::rig::{BUS, Rig};
 use crate::scenario::{
     Control, Controller, GainsTable, LadrcTable, PiTable, Scenario, SpeedName, StartName, Tuning,
 };
-use serde::Serialize;
+use crate::sensors::ReadsName;
 
 /// A controller with all its numbers: what it writes into a scenario.
 #[derive(Clone, Copy, Debug, Default)]
@@ -34,10 +34,9 @@ impl Setup {
     }
 }
 
-/// A controller that follows a rule with one knob, a bandwidth (rad/s).
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Contender {
+/// A rule that sets a controller by one knob, a bandwidth (rad/s).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Rule {
     /// The drive form of BS-QSMDO, by its observer's bandwidth.
     DriveQsmdo,
     /// The drive form of BS-QISMC, by the same.
@@ -54,7 +53,50 @@ pub enum Contender {
     Ladrc,
 }
 
+/// A controller by its rule on an encoder that is read in one of the ways.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Contender {
+    /// Its rule.
+    pub rule: Rule,
+    /// Reads of the encoder that count.
+    pub reads: ReadsName,
+}
+
 impl Contender {
+    /// All, in the order they are shown: every rule with 16 reads, and the drive form, PI and LADRC with shifted ones too.
+    pub fn all() -> impl Iterator<Item = Self> {
+        let plain = Rule::ALL.map(|rule| Self { rule, reads: ReadsName::All });
+        let shifted = [Rule::DriveQsmdo, Rule::PiByTheBook, Rule::Ladrc]
+            .map(|rule| Self { rule, reads: ReadsName::Shifted });
+        plain.into_iter().chain(shifted)
+    }
+
+    /// Its name.
+    pub fn name(self) -> String {
+        let shifted = if self.reads == ReadsName::Shifted { ", shifted reads" } else { "" };
+        format!("{}{shifted}", self.rule.name())
+    }
+
+    /// The knob's position (rad/s) at which the ripple of the load-step trial is `ripple` (V rms about the mean): the
+    /// highest of twelve that stays below, brought closer by bisection. Nothing where none stays below.
+    pub fn match_ripple(self, rig: &Rig, ripple: f64) -> Option<f64> {
+        let rig = Rig { reads: self.reads, ..*rig };
+        let holds = |knob: f64| {
+            let figures = rig.trial(&self.rule.setup(knob, &rig.machine), 1);
+            figures.is_some_and(|figures| figures.ripple <= ripple)
+        };
+        let positions: Vec<f64> = (0..12).map(|k| 100.0 * 1.6_f64.powi(k)).collect();
+        let mut low = positions.into_iter().rev().find(|&knob| holds(knob))?;
+        let mut high = 1.6 * low;
+        for _ in 0..7 {
+            let middle = (low * high).sqrt();
+            if holds(middle) { low = middle } else { high = middle }
+        }
+        Some(low)
+    }
+}
+
+impl Rule {
     /// All, in the order they are shown.
     pub const ALL: [Self; 7] = [
         Self::DriveQsmdo,
@@ -79,8 +121,8 @@ impl Contender {
         }
     }
 
-    /// What its knob is.
-    pub fn rule(self) -> &'static str {
+    /// What it sets.
+    pub fn in_words(self) -> &'static str {
         match self {
             Self::DriveQsmdo | Self::DriveQismc => {
                 "knob wo; the rest by the drive form's rule; torque and voltage reserves as by default"
@@ -159,22 +201,5 @@ impl Contender {
                 Setup { control, ladrc, ..Setup::default() }
             }
         }
-    }
-
-    /// The knob's position (rad/s) at which the ripple of the load-step trial is `ripple` (V rms about the mean): the
-    /// highest of twelve that stays below, brought closer by bisection. Nothing where none stays below.
-    pub fn match_ripple(self, rig: &Rig, ripple: f64) -> Option<f64> {
-        let holds = |knob: f64| {
-            let figures = rig.trial(&self.setup(knob, &rig.machine), 1);
-            figures.is_some_and(|figures| figures.ripple <= ripple)
-        };
-        let positions: Vec<f64> = (0..12).map(|k| 100.0 * 1.6_f64.powi(k)).collect();
-        let mut low = positions.into_iter().rev().find(|&knob| holds(knob))?;
-        let mut high = 1.6 * low;
-        for _ in 0..7 {
-            let middle = (low * high).sqrt();
-            if holds(middle) { low = middle } else { high = middle }
-        }
-        Some(low)
     }
 }

@@ -20,6 +20,19 @@ pub struct LoadStepFigures {
     pub peak_current: f64,
 }
 
+impl LoadStepFigures {
+    /// The part of the ripple that is noise from period to period (V rms): half the mean square successive difference is its
+    /// power, whatever is slower (von Neumann).
+    pub fn noise(&self) -> f64 {
+        self.voltage_step / 2.0_f64.sqrt()
+    }
+
+    /// The slower rest of the ripple (V rms).
+    pub fn slow_ripple(&self) -> f64 {
+        (self.ripple * self.ripple - self.noise() * self.noise()).max(0.0).sqrt()
+    }
+}
+
 /// Measures a load step: what is steady in `steady_from..step_at`, the dip from `step_at` on (s).
 #[derive(Clone, Debug)]
 pub struct LoadStepMeter {
@@ -211,8 +224,28 @@ mod tests {
         near(figures.recovery, 0.3);
         near(figures.ripple, 1.0);
         near(figures.voltage_step, (8.0_f64 / 3.0).sqrt());
+        near(figures.noise(), (4.0_f64 / 3.0).sqrt());
+        near(figures.slow_ripple(), 0.0);
         near(figures.steady_error, 0.01);
         near(figures.peak_current, 4.0);
+    }
+
+    #[test]
+    fn noise_and_slow_ripple_are_told_apart() {
+        let mut meter = LoadStepMeter::new(0.0, 1.0);
+        // ±0.5 V from period to period in a pattern without memory, on a slow sine of 2 V.
+        let mut bits: u32 = 1;
+        for period in 0..20_000 {
+            bits = bits.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            let noise = if bits >> 31 == 0 { 0.5 } else { -0.5 };
+            let time = f64::from(period) * 5e-5;
+            let voltage = noise + 2.0 * (20.0 * time).sin();
+            meter.add(&Frame { time, voltage, ..Frame::default() });
+        }
+        meter.add(&Frame { time: 1.0, ..Frame::default() });
+        let figures = meter.figures().expect("measured");
+        assert!((figures.noise() / 0.5 - 1.0).abs() < 0.02, "{figures:?}");
+        assert!((figures.slow_ripple() / 2.0_f64.sqrt() - 1.0).abs() < 0.05, "{figures:?}");
     }
 
     #[test]

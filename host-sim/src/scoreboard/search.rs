@@ -3,7 +3,7 @@
 //! A Latin hypercube over the range first; then batches of variations of tunings that are on a front so far, in steps that
 //! become smaller. The range is parametrised such that all of what the controller accepts can be reached, and little else.
 
-use super::contender::{Contender, Setup};
+use super::contender::{Rule, Setup};
 use super::measure::LoadStepFigures;
 use super::rig::{RATE, Rig};
 use crate::scenario::{Control, Controller, LadrcTable, PiTable, SpeedName};
@@ -84,7 +84,7 @@ impl Family {
         match self {
             Self::Drive => {
                 let bandwidth = logarithmic(point[0], 0.02 * RATE, 0.13 * RATE);
-                Contender::DriveQsmdo.setup(bandwidth, &rig.machine)
+                Rule::DriveQsmdo.setup(bandwidth, &rig.machine)
             }
             Self::Pi => {
                 let damping = logarithmic(point[3], 0.5, 5.0);
@@ -134,13 +134,25 @@ impl Measure {
     /// Its name.
     pub fn name(self) -> &'static str {
         match self {
-            Self::Ripple => "ripple (rms about the mean)",
-            Self::VoltageStep => "voltage step (rms from period to period)",
+            Self::Ripple => "ripple",
+            Self::VoltageStep => "voltage step",
         }
     }
 }
 
-/// A tuning that is stable with all parameter errors and recovers in time.
+/// A requirement of an admissible tuning.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Requirement {
+    /// To recover within 12 ms.
+    Recovery,
+    /// To be stable with every combination of parameter errors.
+    ParameterErrors,
+    /// To keep the steady error within 0.03 rad/s.
+    SteadyError,
+}
+
+/// A tuning that was tried.
 #[derive(Clone, Debug, Serialize)]
 pub struct Tried {
     /// Bandwidths (rad/s), damping, speed estimate: for people.
@@ -151,14 +163,29 @@ pub struct Tried {
     /// The tuning.
     #[serde(skip)]
     pub setup: Setup,
+    /// The first requirement that it misses.
+    pub misses: Option<Requirement>,
     #[serde(skip)]
     point: Vec<f64>,
 }
 
 impl Tried {
-    /// Whether its steady error is admissible, too.
+    /// Whether it misses nothing.
     pub fn admissible(&self) -> bool {
-        self.figures.steady_error <= LARGEST_STEADY_ERROR
+        self.misses.is_none()
+    }
+
+    /// Whether it misses nothing but, perhaps, the steady error.
+    pub fn stable(&self) -> bool {
+        matches!(self.misses, None | Some(Requirement::SteadyError))
+    }
+
+    /// Whether this one makes figures superfluous: it is on no front with `figures` that they would not fall behind.
+    fn supersedes(&self, figures: &LoadStepFigures) -> bool {
+        let own = &self.figures;
+        self.admissible()
+            && own.dip <= figures.dip
+            && Measure::ALL.iter().all(|measure| measure.of(own) <= measure.of(figures))
     }
 }
 
@@ -195,6 +222,8 @@ pub struct Effort {
     pub first: usize,
     /// Variations after it.
     pub then: usize,
+    /// Times that this is done, from other random numbers; the best of all counts.
+    pub seeds: u64,
 }
 
 /// Variations that are tried at once.
@@ -203,47 +232,86 @@ const BATCH: usize = 32;
 impl Effort {
     /// Tunings that a family needs.
     pub fn tunings(self, family: Family) -> usize {
-        if family == Family::Drive { DRIVE_TUNINGS } else { self.first + self.then }
+        match family {
+            Family::Drive => DRIVE_TUNINGS,
+            _ => self.seeds as usize * (self.first + self.then),
+        }
     }
 }
 
 /// Positions of the drive form's knob.
 const DRIVE_TUNINGS: usize = 24;
 
-/// Searches a family on a rig, with a seed, calling `tick` for every tuning. Gives the tunings that count.
-pub fn search(
+/// Searches a family on a rig, calling `tick` for every tuning. Gives the tunings that were tried, but for those that do not run
+/// and those that an admissible one beats in everything.
+pub fn search(family: Family, rig: &Rig, effort: Effort, tick: impl Fn() + Sync) -> Vec<Tried> {
+    if family == Family::Drive {
+        let last = (DRIVE_TUNINGS - 1) as f64;
+        let points = (0..DRIVE_TUNINGS).map(|k| vec![k as f64 / last]).collect();
+        return attempt(family, rig, points, &[], &tick);
+    }
+    (1..=effort.seeds).flat_map(|seed| search_once(family, rig, effort, seed, &tick)).collect()
+}
+
+fn search_once(
     family: Family,
     rig: &Rig,
     effort: Effort,
     seed: u64,
-    tick: impl Fn() + Sync,
+    tick: &(impl Fn() + Sync),
 ) -> Vec<Tried> {
-    let attempt = |point: Vec<f64>| {
-        let setup = family.setup(&point, rig);
-        let figures = rig.trial(&setup, 1).filter(|figures| figures.recovery <= LONGEST_RECOVERY);
-        let figures = figures.filter(|figures| rig.withstands_errors(&setup, figures));
-        tick();
-        figures.map(|figures| Tried { tuning: describe(&setup), figures, setup, point })
-    };
-    if family == Family::Drive {
-        let positions = (0..DRIVE_TUNINGS).into_par_iter();
-        let last = (DRIVE_TUNINGS - 1) as f64;
-        return positions.filter_map(|k| attempt(vec![k as f64 / last])).collect();
-    }
     let mut random = StdRng::seed_from_u64(seed);
-    let points = hypercube(effort.first, family.dimensions(), &mut random);
-    let mut tried: Vec<Tried> = points.into_par_iter().filter_map(attempt).collect();
+    let mut tried = Vec::new();
+    for points in hypercube(effort.first, family.dimensions(), &mut random).chunks(BATCH) {
+        tried.extend(attempt(family, rig, points.to_vec(), &tried, tick));
+    }
     let mut left = effort.then;
     while left > 0 {
         let batch = left.min(BATCH);
         let spread = 0.02 + 0.13 * left as f64 / effort.then as f64;
         let parents = parents(&tried);
-        let points: Vec<Vec<f64>> =
+        let points =
             (0..batch).map(|_| vary(&parents, family.dimensions(), spread, &mut random)).collect();
-        tried.extend(points.into_par_iter().filter_map(attempt).collect::<Vec<_>>());
+        tried.extend(attempt(family, rig, points, &tried, tick));
         left -= batch;
     }
     tried
+}
+
+/// Tries points of the unit cube, of which those that one of `before` supersedes are dropped: parameter errors, most of the work,
+/// are for those that could be on a front.
+fn attempt(
+    family: Family,
+    rig: &Rig,
+    points: Vec<Vec<f64>>,
+    before: &[Tried],
+    tick: &(impl Fn() + Sync),
+) -> Vec<Tried> {
+    let attempt = |point: Vec<f64>| {
+        let setup = family.setup(&point, rig);
+        let figures = rig.trial(&setup, 1);
+        let misses = |figures: &LoadStepFigures| {
+            if figures.recovery > LONGEST_RECOVERY {
+                Some(Requirement::Recovery)
+            } else if rig.upsetting_errors(&setup, figures).is_some() {
+                Some(Requirement::ParameterErrors)
+            } else {
+                (figures.steady_error > LARGEST_STEADY_ERROR).then_some(Requirement::SteadyError)
+            }
+        };
+        let found = figures
+            .filter(|figures| !before.iter().any(|tried| tried.supersedes(figures)))
+            .map(|figures| Tried {
+                tuning: describe(&setup),
+                misses: misses(&figures),
+                figures,
+                setup,
+                point,
+            });
+        tick();
+        found
+    };
+    points.into_par_iter().filter_map(attempt).collect()
 }
 
 /// Points of which each coordinate takes each of `count` equal parts of 0..1 once.
@@ -292,10 +360,12 @@ pub struct Front<'a> {
 }
 
 impl<'a> Front<'a> {
-    /// Of those tried; where asked, of the admissible ones only.
+    /// Of the stable ones of those tried; where asked, of the admissible ones only.
     pub fn of(tried: &'a [Tried], measure: Measure, admissible: bool) -> Self {
-        let mut sorted: Vec<&Tried> =
-            tried.iter().filter(|tried| !admissible || tried.admissible()).collect();
+        let mut sorted: Vec<&Tried> = tried
+            .iter()
+            .filter(|tried| if admissible { tried.admissible() } else { tried.stable() })
+            .collect();
         sorted.sort_by(|a, b| a.figures.dip.total_cmp(&b.figures.dip));
         let mut least = f64::INFINITY;
         sorted.retain(|tried| {
@@ -351,7 +421,8 @@ mod tests {
             voltage_step: 1.0 / ripple,
             peak_current: 1.0,
         };
-        Tried { tuning: String::new(), figures, setup: Setup::default(), point: vec![0.5] }
+        let misses = (steady_error > LARGEST_STEADY_ERROR).then_some(Requirement::SteadyError);
+        Tried { tuning: String::new(), figures, setup: Setup::default(), misses, point: vec![0.5] }
     }
 
     #[test]
@@ -362,6 +433,9 @@ mod tests {
             tried(1.5, 5.0, 0.0),
             tried(0.9, 9.0, 1.0),
         ];
+        let mut unstable = tried(0.1, 0.1, 0.0);
+        unstable.misses = Some(Requirement::ParameterErrors);
+        let all = all.into_iter().chain([unstable]).collect::<Vec<_>>();
         let points = |measure, admissible| Front::of(&all, measure, admissible).points();
         assert_eq!(points(Measure::Ripple, true), [(1.0, 4.0), (2.0, 1.0)]);
         assert_eq!(points(Measure::Ripple, false), [(0.9, 9.0), (1.0, 4.0), (2.0, 1.0)]);
@@ -374,6 +448,16 @@ mod tests {
         assert_eq!(front.ripple_at(3.0), Some(1.0));
         assert_eq!(front.tuning_at(1.9).map(|tried| tried.figures.dip), Some(1.0));
         assert_eq!(front.tuning_of_ripple(3.0).map(|tried| tried.figures.dip), Some(2.0));
+    }
+
+    #[test]
+    fn only_an_admissible_tuning_that_is_better_in_everything_supersedes() {
+        let better = tried(1.0, 1.0, 0.0);
+        let mut worse = tried(1.1, 1.1, 0.0).figures;
+        assert!(!better.supersedes(&worse), "its voltage step is less");
+        worse.voltage_step = 2.0;
+        assert!(better.supersedes(&worse));
+        assert!(!tried(1.0, 1.0, 1.0).supersedes(&worse));
     }
 
     #[test]

@@ -1,12 +1,17 @@
-//! The scoreboard in the terminal, and as one self-contained HTML page.
+//! The scoreboard in the terminal, as one self-contained HTML page, and as CSV.
 
-use super::contender::Contender;
+use super::contender::Rule;
+use super::fronts::RigFronts;
+use super::response::Response;
 use super::search::{Family, Measure};
-use super::{CaseFigures, MATCHED_RIPPLE, Matched, Played, RigFronts, Scoreboard, Target};
+use super::targets::Target;
+use super::why::Why;
+use super::{CaseFigures, Figure, MATCHED_RIPPLE, Matched, Played, Scoreboard, TARGET_DIP};
 use crate::plot::{Line, Plot};
 use crate::report::page;
-use crate::terminal::{number, table};
+use crate::terminal::{short, table};
 use anyhow::Result;
+use comfy_table::ContentArrangement;
 use maud::{Markup, PreEscaped, html};
 use plotters::style::RGBColor;
 
@@ -21,6 +26,10 @@ struct Grid {
 impl Grid {
     fn text(&self) -> String {
         let mut table = table(self.columns.clone(), self.text_columns);
+        if self.text_columns == self.columns.len() {
+            // Prose is wrapped.
+            table.set_content_arrangement(ContentArrangement::Dynamic).set_width(180);
+        }
         for row in &self.rows {
             table.add_row(row.clone());
         }
@@ -44,23 +53,13 @@ fn strings<const N: usize>(texts: [&str; N]) -> Vec<String> {
     texts.map(str::to_owned).to_vec()
 }
 
-/// A number with three significant digits.
-fn short(value: Option<f64>) -> String {
-    let Some(value) = value else { return "–".to_owned() };
-    if value == 0.0 || !(1e-4..1e5).contains(&value.abs()) {
-        return number(Some(value));
-    }
-    let decimals = (2 - value.abs().log10().floor() as i32).max(0) as usize;
-    format!("{value:.decimals$}")
-}
-
 fn matched_grid(matched: &[Matched]) -> Grid {
     let row = |at: &Matched| {
         let read = |read: fn(&super::LoadStepFigures) -> f64| short(at.figures.as_ref().map(read));
         vec![
             at.motor.to_owned(),
             at.counts.to_string(),
-            at.contender.name().to_owned(),
+            at.player.clone(),
             short(at.knob),
             read(|figures| 1e3 * figures.ripple),
             read(|figures| 1e3 * figures.voltage_step),
@@ -94,13 +93,13 @@ fn matched_grid(matched: &[Matched]) -> Grid {
 
 fn case_grid(cases: &[Played]) -> Grid {
     let mut columns = strings(["case", "controller"]);
-    columns.extend(CaseFigures::FIELDS.map(|(name, unit, _, _)| format!("{name} [{unit}]")));
+    columns.extend(CaseFigures::ALL.map(|figure| format!("{} [{}]", figure.name, figure.unit)));
     columns.push("failed".to_owned());
     let mut before = "";
     let row = |at: &'_ Played, first: bool| {
         let mut row = vec![if first { at.case.clone() } else { String::new() }, at.player.clone()];
         let (mut middle, mut worst) = (at.median, at.worst);
-        row.extend(CaseFigures::FIELDS.map(|(_, _, scale, field)| {
+        row.extend(CaseFigures::ALL.map(|Figure { scale, field, .. }| {
             let [middle, worst] = [field(&mut middle), field(&mut worst)]
                 .map(|value| short(value.map(|value| scale * value)));
             if middle == worst { middle } else { format!("{middle} ({worst})") }
@@ -129,7 +128,6 @@ fn front_grid(fronts: &[RigFronts], measure: Measure) -> Grid {
     let mut columns = strings(["motor", "counts", "reads", "controller"]);
     columns.extend(SHOWN_DIPS.map(|dip| format!("{dip:.1} rad/s")));
     columns.push("tried".to_owned());
-    columns.push("stable".to_owned());
     let mut rows = Vec::new();
     for at in fronts {
         for searched in &at.families {
@@ -138,7 +136,7 @@ fn front_grid(fronts: &[RigFronts], measure: Measure) -> Grid {
             let mut row = vec![
                 at.motor.to_owned(),
                 at.counts.to_string(),
-                at.reads.to_string(),
+                at.reads.label().to_owned(),
                 searched.family.name().to_owned(),
             ];
             row.extend(SHOWN_DIPS.map(|dip| {
@@ -148,7 +146,7 @@ fn front_grid(fronts: &[RigFronts], measure: Measure) -> Grid {
                     (None, None) => "–".to_owned(),
                 }
             }));
-            row.extend([searched.tried.to_string(), searched.stable.len().to_string()]);
+            row.push(searched.tried.to_string());
             rows.push(row);
         }
     }
@@ -171,13 +169,12 @@ fn tuning_grid(fronts: &[RigFronts]) -> Grid {
             for measure in Measure::ALL {
                 let (admissible, stable) =
                     (searched.front(measure, true), searched.front(measure, false));
-                let found =
-                    admissible.tuning_at(super::TARGET_DIP).or(stable.tuning_at(super::TARGET_DIP));
+                let found = admissible.tuning_at(TARGET_DIP).or(stable.tuning_at(TARGET_DIP));
                 let Some(tried) = found else { continue };
                 rows.push(vec![
                     at.motor.to_owned(),
                     at.counts.to_string(),
-                    at.reads.to_string(),
+                    at.reads.label().to_owned(),
                     searched.family.name().to_owned(),
                     tried.tuning.clone(),
                     short(Some(tried.figures.dip)),
@@ -227,28 +224,89 @@ fn target_grid(targets: &[Target], quick: bool) -> Grid {
     }
 }
 
+/// Targets that are missed, with the reason.
+fn missed(targets: &[Target]) -> impl Iterator<Item = (&Target, &Why)> {
+    targets.iter().filter_map(|target| Some((target, target.why.as_ref()?)))
+}
+
+fn missed_grid(targets: &[Target]) -> Grid {
+    // What is missed for one reason stands together.
+    let mut rows: Vec<Vec<String>> = Vec::new();
+    for (target, why) in missed(targets) {
+        match rows.iter_mut().find(|row| row[1] == why.because) {
+            Some(row) => row[0] += &format!("\n{}", target.asked),
+            None => rows.push(vec![target.asked.clone(), why.because.clone()]),
+        }
+    }
+    Grid {
+        heading: "Missed, and why: as measured with the same tunings on other sensors, and with other tunings".to_owned(),
+        columns: strings(["missed", "why"]),
+        text_columns: 2,
+        rows,
+    }
+}
+
+/// What the reasons were read from.
+fn evidence_grid(targets: &[Target]) -> Grid {
+    let rows = missed(targets).flat_map(|(target, why)| {
+        why.evidence.iter().enumerate().map(move |(index, at)| {
+            let missed = if index == 0 { target.asked.clone() } else { String::new() };
+            vec![missed, at.what.clone(), short(at.own), short(at.peer)]
+        })
+    });
+    Grid {
+        heading: "Measured for these reasons".to_owned(),
+        columns: strings(["missed", "measured", "drive form", "peer"]),
+        text_columns: 2,
+        rows: rows.collect(),
+    }
+}
+
 fn grids(board: &Scoreboard) -> Vec<Grid> {
     let mut grids = vec![matched_grid(&board.matched), case_grid(&board.cases)];
     if !board.fronts.is_empty() {
         grids.extend(Measure::ALL.map(|measure| front_grid(&board.fronts, measure)));
         grids.push(tuning_grid(&board.fronts));
         grids.push(target_grid(&board.targets, board.quick));
+        grids.push(missed_grid(&board.targets));
     }
     grids
 }
 
-/// What is to be known of the targets that are not met.
-const WHY: &str = "A longer search can only make a peer better: what is not met stays so, what is met holds against the tunings \
-                   that were found. One seed was searched. Tunings at a dip are those of least ripple that dip by it, give or \
-                   take a fiftieth; peak currents count as equal within a fiftieth. Why a target is missed is not measured here.";
+/// What is to be known of the targets.
+const ABOUT_TARGETS: &str = "Ripple is the rms of u about its mean, voltage step that of its change from one period to the \
+                             next. A longer search can only make a peer better: what is not met stays so, what is met \
+                             holds against the tunings that were found. Tunings at a dip are those of least ripple that \
+                             dip by it, give or take a fiftieth; peak currents count as equal within a fiftieth.";
 
 /// The tables, for the terminal.
 pub fn text(board: &Scoreboard) -> String {
     let mut parts: Vec<String> = grids(board).iter().map(Grid::text).collect();
     if !board.targets.is_empty() {
-        parts.push(format!("{WHY}\n"));
+        parts.push(format!("{ABOUT_TARGETS}\n"));
     }
     parts.join("\n")
+}
+
+/// One row for each motor, case and contender and each of `median` and `worst`, in SI units; a figure that a case or a
+/// controller does not have is empty.
+pub fn csv(board: &Scoreboard) -> Result<String> {
+    let mut rows = csv::Writer::from_writer(Vec::new());
+    let names = ["motor", "encoder_counts_per_turn", "case", "contender", "statistic"];
+    let columns = CaseFigures::ALL.map(|figure| figure.column);
+    rows.write_record(names.into_iter().chain(columns).chain(["failed_seeds", "failure"]))?;
+    for at in &board.cases {
+        for (statistic, mut figures) in [("median", at.median), ("worst", at.worst)] {
+            let counts = at.counts.to_string();
+            let values = CaseFigures::ALL.map(|Figure { field, .. }| {
+                field(&mut figures).map_or(String::new(), |value| value.to_string())
+            });
+            let names = [at.motor, &counts, &at.case, &at.player, statistic].map(str::to_owned);
+            let failures = [at.failed.to_string(), at.failure.clone().unwrap_or_default()];
+            rows.write_record(names.into_iter().chain(values).chain(failures))?;
+        }
+    }
+    Ok(String::from_utf8(rows.into_inner()?)?)
 }
 
 fn color(family: Family) -> RGBColor {
@@ -257,6 +315,86 @@ fn color(family: Family) -> RGBColor {
         Family::Pi => RGBColor(30, 140, 60),
         Family::Ladrc => RGBColor(150, 90, 160),
     }
+}
+
+/// A contender's colour: that of its controller, lighter where its reads are shifted.
+fn player_color(name: &str) -> RGBColor {
+    let controllers = [
+        (Rule::DriveQsmdo.name(), RGBColor(160, 20, 20)),
+        (Rule::DriveQismc.name(), RGBColor(20, 20, 140)),
+        (Rule::PaperQsmdo.name(), RGBColor(235, 130, 30)),
+        (Rule::Backstepping.name(), RGBColor(140, 140, 140)),
+        (Rule::PiByTheBook.name(), RGBColor(30, 140, 60)),
+        (Rule::PiWithObserver.name(), RGBColor(20, 150, 150)),
+        (Rule::Ladrc.name(), RGBColor(150, 90, 160)),
+        (Family::Pi.name(), RGBColor(120, 160, 20)),
+        (Family::Ladrc.name(), RGBColor(210, 60, 170)),
+    ];
+    let of = |found: &str| controllers.iter().find(|(name, _)| *name == found).map(|at| at.1);
+    let lighter = |RGBColor(r, g, b): RGBColor| {
+        let [r, g, b] = [r, g, b].map(|part| part + (255 - part) / 2);
+        RGBColor(r, g, b)
+    };
+    let shifted = name.strip_suffix(", shifted reads");
+    of(name).or_else(|| of(shifted?).map(lighter)).unwrap_or(RGBColor(0, 0, 0))
+}
+
+/// A case's view by every contender, whose names stand in the legend beside all of them.
+fn response_plot(responses: &[(&str, &Response)]) -> Result<PreEscaped<String>> {
+    let [(_, first), ..] = responses else { return Ok(PreEscaped(String::new())) };
+    let view = first.view;
+    // The contenders that matter most lie on top.
+    let lines = responses.iter().rev().map(|(name, response)| Line {
+        name: String::new(),
+        color: player_color(name),
+        dashed: false,
+        points: response.signal.points(),
+    });
+    let reference = view.reference.then(|| Line {
+        name: "reference".to_owned(),
+        color: RGBColor(0, 0, 0),
+        dashed: true,
+        points: first.reference.points(),
+    });
+    let plot = Plot {
+        title: view.title.to_owned(),
+        x_label: None,
+        y_label: view.y_label.to_owned(),
+        span: view.span[0]..view.span[1],
+        lines: lines.chain(reference).collect(),
+    };
+    Ok(PreEscaped(plot.svg()?))
+}
+
+/// The time responses of every case that has views.
+fn response_section(cases: &[Played]) -> Result<Markup> {
+    let shown: Vec<&Played> = cases.iter().filter(|at| !at.responses.is_empty()).collect();
+    let mut names: Vec<&str> = Vec::new();
+    for at in &shown {
+        if !names.contains(&at.player.as_str()) {
+            names.push(&at.player);
+        }
+    }
+    let mut plots = Vec::new();
+    for of_case in shown.chunk_by(|a, b| a.case == b.case) {
+        for view in 0..of_case[0].responses.len() {
+            let responses: Vec<_> =
+                of_case.iter().map(|at| (at.player.as_str(), &at.responses[view])).collect();
+            plots.push(response_plot(&responses)?);
+        }
+    }
+    Ok(html! {
+        @if !plots.is_empty() {
+            h2 { "Time responses, each at the same voltage ripple" }
+            p {
+                @for name in names {
+                    @let RGBColor(r, g, b) = player_color(name);
+                    span.key style=(format!("border-color:rgb({r},{g},{b})")) { (name) } " "
+                }
+            }
+            @for plot in plots { (plot) }
+        }
+    })
 }
 
 /// The fronts of one rig, ripple in powers of ten.
@@ -274,7 +412,12 @@ fn front_plot(fronts: &RigFronts, measure: Measure) -> Result<PreEscaped<String>
         }
     });
     let plot = Plot {
-        title: format!("{}, {} counts, {} read(s)", fronts.motor, fronts.counts, fronts.reads),
+        title: format!(
+            "{}, {} counts, reads: {}",
+            fronts.motor,
+            fronts.counts,
+            fronts.reads.label()
+        ),
         x_label: Some("dip [rad/s]".to_owned()),
         y_label: match measure {
             Measure::Ripple => "lg(ripple / mV)",
@@ -289,7 +432,8 @@ fn front_plot(fronts: &RigFronts, measure: Measure) -> Result<PreEscaped<String>
 
 const STYLE: &str = "body{font-family:sans-serif;max-width:90em;margin:2em auto;padding:0 1em}\
                      table{border-collapse:collapse;font-size:85%}th,td{text-align:right;padding:.15em .6em;\
-                     border-bottom:1px solid #ddd}.text{text-align:left}svg{width:48%;min-width:28em}";
+                     border-bottom:1px solid #ddd}.text{text-align:left;white-space:pre-line}.key{border-left:1.6em solid;padding-left:.4em;\
+                     margin-right:1em;white-space:nowrap}svg{width:48%;min-width:28em}";
 
 /// The report.
 pub fn html(board: &Scoreboard) -> Result<String> {
@@ -306,13 +450,15 @@ pub fn html(board: &Scoreboard) -> Result<String> {
              the reference, at 20 kHz. Ripple is the rms of u about its mean at constant speed, voltage step the \
              rms of its change from one period to the next; both are geometric means over eight speeds."
         }
-        ul { @for contender in Contender::ALL { li { b { (contender.name()) } ": " (contender.rule()) } } }
-        @if !board.targets.is_empty() { p { (WHY) } }
-        @for grid in grids(board).into_iter().rev() { (grid.html()) }
+        ul { @for rule in Rule::ALL { li { b { (rule.name()) } ": " (rule.in_words()) } } }
+        (response_section(&board.cases)?)
         @if !plots.is_empty() {
             h2 { "Fronts of dip over ripple, of the tunings that are stable with every parameter error and recover within 12 ms" }
             @for plot in plots { (plot) }
         }
+        @if !board.targets.is_empty() { p { (ABOUT_TARGETS) } }
+        @for grid in grids(board).into_iter().rev() { (grid.html()) }
+        @if !board.targets.is_empty() { (evidence_grid(&board.targets).html()) }
     };
     Ok(page("quasidrive: scoreboard", STYLE, &body))
 }
