@@ -2,14 +2,14 @@
 
 use anyhow::{Context, Result, bail};
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use host_sim::double::{Double, SimulatedScalar};
+use host_sim::double::SimulatedScalar;
 use host_sim::frame::Frame;
 use host_sim::link::{LinkError, Local, LockStep};
 use host_sim::metrics::Metrics;
 use host_sim::qemu::{Emulator, PATIENCE, Qemu};
 use host_sim::reproduction::PERIODS_PER_TICK;
 use host_sim::scenario::{Controller, FormName, Scenario, ScenarioError};
-use host_sim::simulation::{Outcome, simulate, simulate_on};
+use host_sim::simulation::{Outcome, ScalarName, simulate_in, simulate_on};
 use host_sim::{report, reproduction, scoreboard, terminal};
 use indicatif::{ProgressBar, ProgressStyle};
 use quasidrive::drive::Fault;
@@ -196,14 +196,6 @@ impl Machine {
     }
 }
 
-#[derive(Clone, Copy, PartialEq, Eq, Serialize, ValueEnum)]
-#[serde(rename_all = "kebab-case")]
-enum ScalarName {
-    F32,
-    Q31,
-    F64,
-}
-
 /// A run, as `--json` prints it.
 #[derive(Serialize)]
 struct RunReport {
@@ -373,9 +365,7 @@ fn play(file: &Path, overrides: &Overrides, csv: Option<&Path>) -> Result<RunRep
                 "the firmware in QEMU is armed from the first period on: initial.armed_after must be 0"
             )
         }
-        (Place::Host, ScalarName::F32) => simulate::<f32>(&scenario, each)?,
-        (Place::Host, ScalarName::Q31) => simulate::<Q31>(&scenario, each)?,
-        (Place::Host, ScalarName::F64) => simulate::<Double>(&scenario, each)?,
+        (Place::Host, scalar) => simulate_in(scalar, &scenario, each)?,
         (Place::Qemu, ScalarName::F32) => in_lock_step::<f32>(&scenario, overrides, each)?,
         (Place::Qemu, ScalarName::Q31) => in_lock_step::<Q31>(&scenario, overrides, each)?,
         (Place::Qemu, ScalarName::F64) => bail!("no firmware in QEMU computes in f64"),

@@ -1,16 +1,19 @@
 //! Plays a scenario: the drive against the simulated board, period by period, through the HAL trait.
 
 use crate::board::SimulatedBoard;
-use crate::double::SimulatedScalar;
+use crate::double::{Double, SimulatedScalar};
 use crate::frame::Frame;
 use crate::link::{Link, LinkError, Local};
 use crate::metrics::{Meter, Metrics};
 use crate::profile::value_at;
 use crate::scenario::Scenario;
+use clap::ValueEnum;
 use quasidrive::control::ControlConfig;
 use quasidrive::drive::{Fault, Mode, Telemetry};
 use quasidrive::hal::Board;
+use quasidrive::math::Q31;
 use quasidrive::per_unit::Bases;
+use serde::Serialize;
 
 /// How a run ended.
 #[derive(Clone, Debug)]
@@ -19,6 +22,32 @@ pub struct Outcome {
     pub metrics: Metrics,
     /// When (s) and why the drive stopped, if it did. The run ends there.
     pub fault: Option<(f64, Fault)>,
+}
+
+/// What a drive computes in.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum ScalarName {
+    /// Single precision, for cores with an FPU.
+    #[default]
+    F32,
+    /// Fixed point, for cores without.
+    Q31,
+    /// Double precision, on a PC only.
+    F64,
+}
+
+/// Plays `scenario` with a drive in this process that computes in a scalar of this name.
+pub fn simulate_in(
+    scalar: ScalarName,
+    scenario: &Scenario,
+    each: impl FnMut(&Frame),
+) -> Result<Outcome, LinkError> {
+    match scalar {
+        ScalarName::F32 => simulate::<f32>(scenario, each),
+        ScalarName::Q31 => simulate::<Q31>(scenario, each),
+        ScalarName::F64 => simulate::<Double>(scenario, each),
+    }
 }
 
 /// Plays `scenario` with a drive in this process that computes in `S`, and shows every period to `each`.

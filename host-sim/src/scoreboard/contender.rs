@@ -6,6 +6,7 @@ use crate::scenario::{
     Control, Controller, GainsTable, LadrcTable, PiTable, Scenario, SpeedName, StartName, Tuning,
 };
 use crate::sensors::ReadsName;
+use crate::simulation::ScalarName;
 
 /// A controller with all its numbers: what it writes into a scenario.
 #[derive(Clone, Copy, Debug, Default)]
@@ -60,25 +61,37 @@ pub struct Contender {
     pub rule: Rule,
     /// Reads of the encoder that count.
     pub reads: ReadsName,
+    /// What it computes in.
+    pub scalar: ScalarName,
 }
 
 impl Contender {
-    /// All, in the order they are shown: every rule with 16 reads, and the drive form, PI and LADRC with shifted ones too.
+    /// All, in the order they are shown: every rule with 16 reads; the drive form, PI and LADRC with shifted ones too; and the
+    /// drive form, the paper's form and PI in fixed point.
     pub fn all() -> impl Iterator<Item = Self> {
-        let plain = Rule::ALL.map(|rule| Self { rule, reads: ReadsName::All });
+        let plain = |rule| Self { rule, reads: ReadsName::All, scalar: ScalarName::F32 };
         let shifted = [Rule::DriveQsmdo, Rule::PiByTheBook, Rule::Ladrc]
-            .map(|rule| Self { rule, reads: ReadsName::Shifted });
-        plain.into_iter().chain(shifted)
+            .map(|rule| Self { reads: ReadsName::Shifted, ..plain(rule) });
+        let fixed = [Rule::DriveQsmdo, Rule::PaperQsmdo, Rule::PiByTheBook]
+            .map(|rule| Self { scalar: ScalarName::Q31, ..plain(rule) });
+        Rule::ALL.map(plain).into_iter().chain(shifted).chain(fixed)
+    }
+
+    /// The rig with its reads and its scalar.
+    pub fn on(self, rig: &Rig) -> Rig {
+        Rig { reads: self.reads, scalar: self.scalar, ..*rig }
     }
 
     /// Its name.
     pub fn name(self) -> String {
         let shifted = if self.reads == ReadsName::Shifted { ", shifted reads" } else { "" };
-        format!("{}{shifted}", self.rule.name())
+        let fixed = if self.scalar == ScalarName::Q31 { ", fixed point" } else { "" };
+        format!("{}{shifted}{fixed}", self.rule.name())
     }
 
     /// The knob's position (rad/s) at which the ripple of the load-step trial is `ripple` (V rms about the mean): the
-    /// highest of twelve that stays below, brought closer by bisection. Nothing where none stays below.
+    /// highest of twelve that stays below, brought closer by bisection. Nothing where none stays below. In fixed point it is set as in
+    /// floating point.
     pub fn match_ripple(self, rig: &Rig, ripple: f64) -> Option<f64> {
         let rig = Rig { reads: self.reads, ..*rig };
         let holds = |knob: f64| {

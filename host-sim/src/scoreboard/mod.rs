@@ -23,7 +23,7 @@ pub mod why;
 use crate::profile::value_at;
 use crate::scenario::Scenario;
 use crate::sensors::ReadsName;
-use crate::simulation::simulate;
+use crate::simulation::{ScalarName, simulate_in};
 use anyhow::{Result, bail};
 use cases::Case;
 use contender::{Contender, Setup};
@@ -191,6 +191,7 @@ impl CaseFigures {
 struct Player {
     name: String,
     reads: ReadsName,
+    scalar: ScalarName,
     estimates_load: bool,
     /// Its setups by motor and counts.
     setups: Vec<(&'static str, u32, Option<Setup>)>,
@@ -219,7 +220,7 @@ fn play(
     let mut voltage_steps = WindowedSteps::default();
     let mut load_step = case.load_step.map(|at| LoadStepMeter::new(at - 0.1, at));
     let least = 0.1 * largest_command(&scenario);
-    let outcome = simulate::<f32>(&scenario, |frame| {
+    let outcome = simulate_in(player.scalar, &scenario, |frame| {
         let command = value_at(&scenario.reference.steps, 0.0, frame.time);
         overshoot.add(frame, command, least);
         voltage_steps.add(frame);
@@ -304,6 +305,7 @@ pub fn run(options: &Options, progress: &dyn Fn(u64) -> ProgressBar) -> Result<S
         .map(|contender| Player {
             name: contender.name(),
             reads: contender.reads,
+            scalar: contender.scalar,
             estimates_load: contender.rule.estimates_load(),
             setups: (matched.iter())
                 .filter(|matched| matched.contender == contender)
@@ -327,6 +329,7 @@ pub fn run(options: &Options, progress: &dyn Fn(u64) -> ProgressBar) -> Result<S
         (!setups.is_empty()).then(|| Player {
             name: family.name().to_owned(),
             reads: ReadsName::All,
+            scalar: ScalarName::F32,
             estimates_load: family == Family::Ladrc,
             setups,
         })
@@ -368,7 +371,7 @@ fn match_all(rigs: &[Rig], progress: &dyn Fn(u64) -> ProgressBar) -> Vec<Matched
         .into_par_iter()
         .map(|(rig, contender)| {
             let knob = contender.match_ripple(rig, MATCHED_RIPPLE);
-            let rig = Rig { reads: contender.reads, ..*rig };
+            let rig = contender.on(rig);
             let setup = knob.map(|knob| contender.rule.setup(knob, &rig.machine));
             let figures = setup.and_then(|setup| rig.trial(&setup, 1));
             bar.inc(1);

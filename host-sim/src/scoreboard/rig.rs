@@ -8,7 +8,7 @@ use crate::scenario::{
     Bridge, Bus, Initial, LimitsTable, Model, ReferenceTable, Scenario, ShapeName, TimingTable,
 };
 use crate::sensors::{ReadsName, SensorsTable};
-use crate::simulation::simulate;
+use crate::simulation::{ScalarName, simulate_in};
 use std::fmt::{self, Display, Formatter};
 
 /// Bus voltage (V).
@@ -77,6 +77,8 @@ pub struct Rig {
     pub reads: ReadsName,
     /// How good the sensors are.
     pub sensing: Sensing,
+    /// What drives compute in.
+    pub scalar: ScalarName,
 }
 
 /// Accelerations that the trial's loads mean to the motor (rad/s²): 0.02 N·m and a step of 0.05 N·m on the paper's motor.
@@ -102,6 +104,7 @@ impl Rig {
         counts: 4096,
         reads: ReadsName::All,
         sensing: Sensing::Board,
+        scalar: ScalarName::F32,
     };
 
     /// The load torque (N·m) of an acceleration that it means to the believed motor (rad/s²).
@@ -121,7 +124,7 @@ impl Rig {
 
     /// A scenario without command and load.
     pub fn scenario(&self, duration: f64, seed: u64) -> Scenario {
-        let Self { machine, errors, counts, reads, sensing } = *self;
+        let Self { machine, errors, counts, reads, sensing, scalar: _ } = *self;
         let mut motor = machine.motor;
         motor.inertia *= errors.inertia;
         motor.resistance *= errors.resistance;
@@ -188,7 +191,7 @@ impl Rig {
         let mut scenario = self.trial_scenario(share, seed);
         setup.put_into(&mut scenario);
         let mut meter = LoadStepMeter::new(STEADY, STEP);
-        let outcome = simulate::<f32>(&scenario, |frame| meter.add(frame)).ok()?;
+        let outcome = simulate_in(self.scalar, &scenario, |frame| meter.add(frame)).ok()?;
         outcome.fault.is_none().then(|| meter.figures())?
     }
 
@@ -220,7 +223,7 @@ impl Rig {
             // Seen from after the load step on: what it excites must have died down.
             scenario.load.steps[1].time = STEADY;
             let mut meter = LoadStepMeter::new(END - 0.05, END - 0.01);
-            let outcome = simulate::<f32>(&scenario, |frame| meter.add(frame));
+            let outcome = simulate_in(self.scalar, &scenario, |frame| meter.add(frame));
             let settled = outcome.is_ok_and(|outcome| outcome.fault.is_none());
             let calm = meter.figures().is_some_and(|figures| {
                 figures.steady_error <= steady_error && figures.ripple <= ripple
