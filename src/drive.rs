@@ -321,6 +321,12 @@ impl<S: Scalar> Drive<S> {
         if self.mode != Mode::Running {
             if self.can_follow(&measured) {
                 self.idle_speed = self.controller.follow(&measured);
+                // What no shaft does is unlearnt at once.
+                let plausible = self.idle_speed.abs() <= self.speed_limit + self.speed_limit;
+                if !plausible {
+                    self.idle_speed = S::ZERO;
+                    self.controller.know(S::ZERO);
+                }
             }
             return None;
         }

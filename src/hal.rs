@@ -29,7 +29,7 @@ pub struct Codes {
     pub shift: u8,
 }
 
-/// A period's sample from sensors without error.
+/// A period's sample from sensors without error. In fixed point within a quarter of full scale.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Exact<S> {
     /// Shaft speed ω (rad/s), positive in the direction in which a positive duty accelerates.

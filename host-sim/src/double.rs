@@ -182,7 +182,8 @@ impl SimulatedScalar for Double {
 
 impl SimulatedScalar for Q31 {
     fn from_f64(value: f64, base: Base) -> Self {
-        Self((value / f64::from(base.0) * SCALE).round() as i32)
+        // What measures saturates at a quarter, beyond any limit.
+        Self((value / f64::from(base.0) * SCALE).round().clamp(-0.25 * SCALE, 0.25 * SCALE) as i32)
     }
 
     fn to_f64(self, base: Base) -> f64 {

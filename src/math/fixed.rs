@@ -173,7 +173,8 @@ impl Scalar for Q31 {
     const ANY_TIME: bool = false;
 
     fn from_f32(value: f32, base: Base) -> Self {
-        Self(libm::roundf(value / base.0 * SCALE) as i32)
+        // Symmetric, for its magnitude to be one too.
+        Self((libm::roundf(value / base.0 * SCALE) as i32).max(-i32::MAX))
     }
 
     fn to_f32(self, base: Base) -> f32 {
@@ -335,5 +336,129 @@ impl Scalar for Q31 {
     #[inline]
     fn limited(self, bound: Self) -> Self {
         Self(self.0.max(-bound.0).min(bound.0))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const UNIT: Base = Base(1.0);
+
+    fn gains<const N: usize>(gains: [f32; N]) -> Gains<N> {
+        Q31::gains("gain", gains.map(|gain| (gain, UNIT)), UNIT).expect("below a half")
+    }
+
+    fn steep(gain: f32) -> Steep<1> {
+        Q31::steep("gain", [(gain, UNIT)], UNIT).expect("valid")
+    }
+
+    proptest! {
+        #[test]
+        fn long_and_short_products_make_the_same_bits(
+            raw in prop::array::uniform3(any::<i32>()),
+            shares in prop::array::uniform3(-1.0_f32..1.0),
+            size in 1e-9_f32..0.49,
+        ) {
+            let total: f32 = shares.iter().map(|share| share.abs()).sum();
+            let Gains { mantissas, .. } = gains(shares.map(|share| size * share / total));
+            let signals = raw.map(Q31);
+            let sum = long(&mantissas, signals);
+            prop_assert_eq!(sum, short(&mantissas, signals));
+            // It cannot leave the range: half the largest signal bounds it.
+            prop_assert!(sum.unsigned_abs() <= 1 << 30);
+        }
+
+        #[test]
+        fn a_sum_is_right_to_the_mantissas_and_a_rounding(
+            raw in prop::array::uniform2(-(1 << 30)..1 << 30),
+            shares in prop::array::uniform2(-1.0_f32..1.0),
+            size in 1e-6_f32..0.49,
+        ) {
+            let total: f32 = shares.iter().map(|share| share.abs()).sum();
+            let values = shares.map(|share| size * share / total);
+            let gains = gains(values);
+            let exact: f64 =
+                raw.iter().zip(values).map(|(raw, gain)| f64::from(*raw) * f64::from(gain)).sum();
+            // Two mantissas, each wrong by half of 2⁻¹⁴ of all gains at most.
+            let allowed = 6.2e-5 * f64::from(size) * f64::from(1 << 30);
+            let [down, nearest] = [Q31::combine(&gains, raw.map(Q31)), Q31::accumulate(&gains, raw.map(Q31))];
+            prop_assert!((f64::from(down.0) - exact).abs() <= allowed + 1.0, "{down:?}, {exact}");
+            prop_assert!((f64::from(nearest.0) - exact).abs() <= allowed + 1.0, "{nearest:?}, {exact}");
+            prop_assert!((0..=1).contains(&(nearest.0 - down.0)));
+        }
+
+        #[test]
+        fn a_steep_gain_saturates_at_a_quarter(raw in any::<i32>(), gain in -16_000.0_f32..16_000.0) {
+            let exact = f64::from(raw) * f64::from(gain);
+            let quarter = f64::from(QUARTER);
+            let told = f64::from(Q31::amplify(&steep(gain), [Q31(raw)]).0);
+            let allowed = 6.2e-5 * exact.abs() + 4.0 * f64::from(gain).abs() + 1.0;
+            prop_assert!((told - exact.clamp(-quarter, quarter)).abs() <= allowed, "{told}, {exact}");
+        }
+
+        #[test]
+        fn a_ratio_is_never_larger_than_it_should_be(bus in 1 << 19..=1 << 21, share in -1.0_f64..1.0) {
+            // A bus of up to 2⁻¹⁰ of its base.
+            let part = Q31((f64::from(bus) * share) as i32);
+            let told = f64::from(part.ratio(Q31(bus), 10).0) / f64::from(ONE);
+            let exact = f64::from(part.0) / f64::from(bus);
+            prop_assert!(told.abs() <= exact.abs(), "{told} exceeds {exact}");
+            prop_assert!((told - exact).abs() < 2e-4, "{told} is not {exact}");
+        }
+    }
+
+    #[test]
+    fn powers_of_two_are_exact() {
+        let quarter = gains([0.25, -0.125]);
+        for raw in [8, -8, 1 << 20, -(1 << 29)] {
+            assert_eq!(Q31::combine(&quarter, [Q31(raw), Q31(raw)]).0, raw / 8);
+        }
+        assert_eq!(Q31(1000 << 6).over::<6>(()), Q31(1000));
+        assert_eq!([31, 32, -32, -33].map(|raw| Q31(raw).over::<6>(()).0), [0, 1, 0, -1]);
+    }
+
+    #[test]
+    fn what_cannot_be_represented_is_refused_with_its_name() {
+        for gain in [0.5, -0.6, 1e9, f32::NAN, f32::INFINITY] {
+            let error =
+                Q31::gains("a.gain", [(0.1, UNIT), (gain, UNIT)], UNIT).expect_err("refused");
+            assert_eq!(error.field, "a.gain");
+            assert!(error.value == gain || error.value.is_nan(), "{error}");
+        }
+        for gain in [40_000.0, f32::NAN] {
+            assert!(Q31::steep("a.gain", [(gain, UNIT)], UNIT).is_err(), "{gain}");
+        }
+        assert!(Q31::constant("a.value", 0.51, UNIT).is_err());
+        assert_eq!(Q31::constant("a.value", -0.5, UNIT), Ok(Q31(-(1 << 30))));
+        assert!(Q31::constant("a.value", f32::NAN, UNIT).is_err());
+    }
+
+    #[test]
+    fn values_saturate_on_both_sides_alike() {
+        for value in [1.0, 7.0, f32::INFINITY] {
+            assert_eq!(Q31::from_f32(value, UNIT), Q31(i32::MAX));
+            assert_eq!(Q31::from_f32(-value, UNIT), Q31(-i32::MAX));
+        }
+        assert_eq!(Q31::from_f32(f32::NAN, UNIT), Q31::ZERO);
+        assert_eq!(Q31::from_f32(0.25, UNIT).to_f32(UNIT), 0.25);
+    }
+
+    #[test]
+    fn counts_are_told_as_by_floating_point() {
+        for (position, step) in [(0.5, 0.0), (-0.5, 0.0), (3.25, 0.5), (-3.25, -0.5), (900.0, 61.7)]
+        {
+            let fixed = Q31::mean_count(
+                Q31::from_f32(position, Base::COUNT),
+                Q31::from_f32(step, Base::COUNT),
+            );
+            assert_eq!(fixed.to_f32(Base::COUNT), f32::mean_count(position, step));
+        }
+        assert_eq!(Q31::from_sixteenths(-40).to_f32(Base::COUNT), -2.5);
+        assert_eq!(Q31::from_code(4095).to_f32(Base::CODE), 4095.0);
+        assert_eq!(Q31(1 << 20).part(64), Q31(1 << 18));
+        assert_eq!(Q31(3000).fraction(-7, 3), Q31(-7000));
+        assert_eq!(Q31(1 << 28).fraction(1000, 1), Q31(QUARTER));
     }
 }
