@@ -6,6 +6,7 @@
 
 use crate::config::ConfigError;
 use crate::control::{ControlConfig, Controller, Decision, Ranges, Setting, Signals, Timing};
+pub use crate::fault::Fault;
 use crate::hal::{Board, BridgeCommand, Sample};
 pub use crate::limits::Limits;
 use crate::math::Scalar;
@@ -30,31 +31,6 @@ pub struct DriveConfig {
     /// How commanded speeds become references.
     #[serde(rename = "reference")]
     pub shape: Shape,
-}
-
-/// Why a drive stopped.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Fault {
-    /// A sample held a NaN or an infinity, or was of another kind than the drive's sensors.
-    BadSample,
-    /// The speed was beyond [`Limits::speed`].
-    Overspeed,
-    /// The current was beyond [`Limits::current`].
-    Overcurrent,
-    /// The bus voltage was below [`Limits::bus_min`].
-    BusUndervoltage,
-    /// The bus voltage was above [`Limits::bus_max`].
-    BusOvervoltage,
-    /// The encoder moved further in a period than twice what [`Limits::speed`] and a count allow.
-    EncoderJump,
-    /// Load or voltage were beyond the authority of their observers for [`AUTHORITY_TIME`], and the speed came no nearer to its
-    /// reference: a load beyond what was configured or what the current command can hold, a blocked rotor, an encoder that does
-    /// not count, or an encoder or motor lead connected the wrong way round.
-    BeyondAuthority,
-    /// The voltage that acted was further from the armature's model than [`MODEL_SHARE`] of [`Limits::bus_max`] for
-    /// [`AUTHORITY_TIME`], or three electrical time constants if that is longer: an encoder or motor lead connected the wrong way round, an encoder that does not count, an open
-    /// lead, or parameters far from the truth. Seen under every controller.
-    ModelMismatch,
 }
 
 /// The voltage u − Ra·i − Kb·ω that is taken for a wrong parameter, as a share of [`Limits::bus_max`]: more is a wrong
@@ -136,6 +112,8 @@ pub struct Drive<S: Scalar> {
     back_emf: S::Gain,
     resistance: S::Gain,
     minus_inertia: S::Gain,
+    /// The last sample's current and bus voltage.
+    measured: [S; 2],
 }
 
 /// A controller that is ready to take over; see [`Drive::change_controller`].
@@ -198,6 +176,7 @@ impl<S: Scalar> Drive<S> {
             back_emf: S::gain(config.motor.back_emf_constant),
             resistance: S::gain(config.motor.resistance),
             minus_inertia: S::gain(-config.motor.inertia),
+            measured: [S::ZERO; 2],
         })
     }
 
@@ -265,6 +244,7 @@ impl<S: Scalar> Drive<S> {
         let Some(mut measured) = self.sensing.read(sample) else {
             return self.refuse(Fault::BadSample);
         };
+        self.measured = [measured.current, measured.bus_voltage];
         if !self.driving {
             let Some(first) = self.start(measured) else { return BridgeCommand::Off };
             measured = first;
@@ -388,6 +368,12 @@ impl<S: Scalar> Drive<S> {
     /// Whether the drive drives, and if not, why.
     pub fn mode(&self) -> Mode {
         self.mode
+    }
+
+    /// Armature current (A) and bus voltage (V) of the last sample, whatever they are; zeros before the first.
+    #[inline]
+    pub fn current_and_bus(&self) -> [S; 2] {
+        self.measured
     }
 
     /// What the last driven period did; nothing before the first.

@@ -96,12 +96,17 @@ pub mod config;
 pub mod control;
 pub mod drive;
 pub mod estimate;
+pub mod fault;
 pub mod hal;
 mod limits;
 
 pub mod math;
+pub mod modulation;
 pub mod motor;
 pub mod parameters;
 pub mod protocol;
 pub mod sense;
+pub mod shunts;
+pub mod supervisor;
+pub mod thermistor;
 pub mod trajectory;
