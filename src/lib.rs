@@ -99,7 +99,7 @@ pub mod estimate;
 pub mod fault;
 pub mod hal;
 mod limits;
-
+pub mod link;
 pub mod math;
 pub mod modulation;
 pub mod motor;

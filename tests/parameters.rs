@@ -9,9 +9,10 @@ use quasidrive::control::{ControlConfig, Timing};
 use quasidrive::drive::{DriveConfig, Limits};
 use quasidrive::estimate::SpeedSource;
 use quasidrive::motor::MotorParameters;
+use quasidrive::parameters::Parameters;
 use quasidrive::parameters::store::{Loaded, Origin, ParameterStore, SaveError};
-use quasidrive::parameters::{LinkParameters, Parameters};
 use quasidrive::sense::{Calibration, Reads, Sensors};
+use quasidrive::supervisor::Protection;
 use quasidrive::trajectory::Shape;
 use std::ops::Range;
 
@@ -43,7 +44,14 @@ fn parameters() -> Parameters {
             },
             shape: Shape::SecondOrder { bandwidth: 60.0 },
         },
-        link: LinkParameters { command_timeout: 0.5 },
+        protection: Protection {
+            continuous_current: 10.0,
+            thermal_time: 20.0,
+            temperature: 85.0,
+            command_timeout: 1.0,
+            stop_time: 3.0,
+            standstill: 2.0,
+        },
     }
 }
 
@@ -53,7 +61,7 @@ fn numbered(number: u16) -> Parameters {
     let value = f32::from(number);
     set.drive.motor.inertia = value;
     set.drive.limits.speed = value;
-    set.link.command_timeout = value;
+    set.protection.command_timeout = value;
     set
 }
 

@@ -337,8 +337,8 @@ mod tests {
     use crate::drive::{DriveConfig, Limits};
     use crate::estimate::SpeedSource;
     use crate::motor::MotorParameters;
-    use crate::parameters::LinkParameters;
     use crate::sense::{Calibration, Reads, Sensors};
+    use crate::supervisor::Protection;
     use crate::trajectory::Shape;
 
     const DEFAULTS: Parameters = Parameters {
@@ -366,7 +366,14 @@ mod tests {
             },
             shape: Shape::Step,
         },
-        link: LinkParameters::DEFAULT,
+        protection: Protection {
+            continuous_current: 10.0,
+            thermal_time: 20.0,
+            temperature: 85.0,
+            command_timeout: 1.0,
+            stop_time: 3.0,
+            standstill: 2.0,
+        },
     };
 
     /// What is saved: different from the defaults in one number of each kind.
