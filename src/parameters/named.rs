@@ -14,7 +14,8 @@
 
 use core::fmt;
 use heapless::String;
-use serde::de::{self, DeserializeSeed, MapAccess, Visitor};
+use serde::de::value::U32Deserializer;
+use serde::de::{self, DeserializeSeed, IntoDeserializer, SeqAccess, Visitor};
 use serde::ser::{self, Impossible};
 use serde::{Deserialize, Serialize};
 
@@ -97,6 +98,8 @@ fn path(text: &str) -> Result<Path, Error> {
 }
 
 /// Appends a field to a path; gives the length to go back to.
+// Like others here not inlined: serde's code calls it for each field of each type.
+#[inline(never)]
 fn enter(path: &mut Path, field: &str) -> Result<usize, Error> {
     let length = path.len();
     if length > 0 {
@@ -112,6 +115,7 @@ struct Writer<'a, 's> {
 }
 
 impl Writer<'_, '_> {
+    #[inline(never)]
     fn put(&mut self, value: Value<'static>) -> Result<(), Error> {
         (self.sink)(&self.path, value)
     }
@@ -238,6 +242,7 @@ impl ser::SerializeStruct for &mut Writer<'_, '_> {
     type Ok = ();
     type Error = Error;
 
+    #[inline(never)]
     fn serialize_field<T: Serialize + ?Sized>(
         &mut self,
         field: &'static str,
@@ -285,15 +290,40 @@ struct Reader<'a, 'de> {
 }
 
 impl<'de> Reader<'_, 'de> {
+    #[inline(never)]
     fn find(&self, accept: &dyn Fn(&Value) -> bool) -> Result<Value<'de>, Error> {
         (self.source)(&self.path, accept).ok_or(Error::Unreadable)
     }
 
+    #[inline(never)]
+    fn number(&self) -> Result<f32, Error> {
+        match self.find(&|value| matches!(value, Value::Number(_)))? {
+            Value::Number(number) => Ok(number),
+            _ => Err(Error::Unreadable),
+        }
+    }
+
+    #[inline(never)]
     fn integer(&self) -> Result<i64, Error> {
         match self.find(&|value| matches!(value, Value::Integer(_)))? {
             Value::Integer(integer) => Ok(integer),
             _ => Err(Error::Unreadable),
         }
+    }
+}
+
+impl Reader<'_, '_> {
+    /// Enters the variant that is named; gives its index and the length of the path to go back to.
+    #[inline(never)]
+    fn enter_variant(&mut self, variants: &[&str]) -> Result<(u32, usize), Error> {
+        let index = |value: &Value| match value {
+            Value::Name(name) => variants.iter().position(|variant| variant == name),
+            _ => None,
+        };
+        let found = self.find(&|value| index(value).is_some())?;
+        let index = index(&found).ok_or(Error::Unreadable)?;
+        let variant = variants.get(index).ok_or(Error::Unreadable)?;
+        Ok((index as u32, enter(&mut self.path, variant)?))
     }
 }
 
@@ -309,10 +339,7 @@ impl<'de> de::Deserializer<'de> for &mut Reader<'_, 'de> {
     type Error = Error;
 
     fn deserialize_f32<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Error> {
-        match self.find(&|value| matches!(value, Value::Number(_)))? {
-            Value::Number(number) => visitor.visit_f32(number),
-            _ => Err(Error::Unreadable),
-        }
+        visitor.visit_f32(self.number()?)
     }
 
     fn deserialize_bool<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Error> {
@@ -340,7 +367,7 @@ impl<'de> de::Deserializer<'de> for &mut Reader<'_, 'de> {
         fields: &'static [&'static str],
         visitor: V,
     ) -> Result<V::Value, Error> {
-        visitor.visit_map(Fields { reader: self, fields: fields.iter(), field: "" })
+        visitor.visit_seq(Fields { reader: self, fields: fields.iter() })
     }
 
     fn deserialize_newtype_struct<V: Visitor<'de>>(
@@ -369,37 +396,38 @@ impl<'de> de::Deserializer<'de> for &mut Reader<'_, 'de> {
     }
 }
 
-/// The fields of a struct for which there is a value.
+/// The fields of a struct, in its order; none in the place of one for which there is no value.
 struct Fields<'r, 'a, 'de> {
     reader: &'r mut Reader<'a, 'de>,
     fields: core::slice::Iter<'static, &'static str>,
-    field: &'static str,
 }
 
-impl<'de> MapAccess<'de> for Fields<'_, '_, 'de> {
-    type Error = Error;
-
-    fn next_key_seed<K: DeserializeSeed<'de>>(
-        &mut self,
-        seed: K,
-    ) -> Result<Option<K::Value>, Error> {
-        for field in self.fields.by_ref() {
-            let length = enter(&mut self.reader.path, field)?;
-            let found = self.reader.find(&|_| true).is_ok();
-            self.reader.path.truncate(length);
-            if found {
-                self.field = field;
-                return seed.deserialize(de::value::StrDeserializer::new(field)).map(Some);
-            }
+impl Fields<'_, '_, '_> {
+    /// Enters the next field, if there is a value for it; gives the length of the path to go back to.
+    #[inline(never)]
+    fn next(&mut self) -> Result<Option<usize>, Error> {
+        let Some(field) = self.fields.next() else { return Ok(None) };
+        let length = enter(&mut self.reader.path, field)?;
+        if self.reader.find(&|_| true).is_ok() {
+            return Ok(Some(length));
         }
+        self.reader.path.truncate(length);
         Ok(None)
     }
+}
 
-    fn next_value_seed<V: DeserializeSeed<'de>>(&mut self, seed: V) -> Result<V::Value, Error> {
-        let length = enter(&mut self.reader.path, self.field)?;
+impl<'de> SeqAccess<'de> for Fields<'_, '_, 'de> {
+    type Error = Error;
+
+    #[inline(never)]
+    fn next_element_seed<T: DeserializeSeed<'de>>(
+        &mut self,
+        seed: T,
+    ) -> Result<Option<T::Value>, Error> {
+        let Some(length) = self.next()? else { return Ok(None) };
         let value = seed.deserialize(&mut *self.reader)?;
         self.reader.path.truncate(length);
-        Ok(value)
+        Ok(Some(value))
     }
 }
 
@@ -417,11 +445,9 @@ impl<'r, 'a, 'de> de::EnumAccess<'de> for Variant<'r, 'a, 'de> {
         self,
         seed: V,
     ) -> Result<(V::Value, Self::Variant), Error> {
-        let known =
-            |value: &Value| matches!(value, Value::Name(name) if self.variants.contains(name));
-        let Value::Name(name) = self.reader.find(&known)? else { return Err(Error::Unreadable) };
-        let variant = seed.deserialize(de::value::StrDeserializer::new(name))?;
-        let length = enter(&mut self.reader.path, name)?;
+        let (index, length) = self.reader.enter_variant(self.variants)?;
+        let index: U32Deserializer<Error> = index.into_deserializer();
+        let variant = seed.deserialize(index)?;
         Ok((variant, VariantReader { reader: self.reader, length }))
     }
 }
@@ -453,7 +479,7 @@ impl<'de> de::VariantAccess<'de> for VariantReader<'_, '_, 'de> {
         visitor: V,
     ) -> Result<V::Value, Error> {
         let reader = &mut *self.reader;
-        let value = visitor.visit_map(Fields { reader, fields: fields.iter(), field: "" })?;
+        let value = visitor.visit_seq(Fields { reader, fields: fields.iter() })?;
         self.reader.path.truncate(self.length);
         Ok(value)
     }
