@@ -488,3 +488,126 @@ impl<'de> de::VariantAccess<'de> for VariantReader<'_, '_, 'de> {
         Err(Error::Unsupported)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A structure as an older firmware has it.
+    #[derive(Debug, PartialEq, Serialize, Deserialize)]
+    struct Old {
+        speed: f32,
+        brake: Brake,
+        limit: Option<f32>,
+    }
+
+    #[derive(Debug, PartialEq, Serialize, Deserialize)]
+    enum Brake {
+        None,
+        Chopper { voltage: f32 },
+    }
+
+    /// The same as a newer one has it: more fields, in another order.
+    #[derive(Debug, PartialEq, Serialize, Deserialize)]
+    struct New {
+        brake: NewBrake,
+        #[serde(default = "ten")]
+        turns: u16,
+        limit: Option<f32>,
+        speed: f32,
+    }
+
+    #[derive(Debug, PartialEq, Serialize, Deserialize)]
+    enum NewBrake {
+        Chopper {
+            voltage: f32,
+            #[serde(default)]
+            hysteresis: Option<f32>,
+        },
+        None,
+    }
+
+    fn ten() -> u16 {
+        10
+    }
+
+    type Values = heapless::Vec<(Path, Value<'static>), 16>;
+
+    fn values(structure: &impl Serialize) -> Values {
+        let mut values = Values::new();
+        write("x", structure, &mut |name, value| {
+            values.push((path(name)?, value)).map_err(|_| Error::Full)
+        })
+        .expect("written");
+        values
+    }
+
+    fn back<T: for<'a> Deserialize<'a>>(values: &Values) -> Result<T, Error> {
+        read("x", &|path, accept| {
+            let mut found = values.iter().filter(|(name, _)| name == path);
+            found.find_map(|(_, value)| Some(*value).filter(accept))
+        })
+    }
+
+    #[test]
+    fn values_have_the_names_of_their_fields() {
+        let old = Old { speed: 1.5, brake: Brake::Chopper { voltage: 27.0 }, limit: None };
+        let expected = [
+            ("x", Value::Group),
+            ("x.speed", Value::Number(1.5)),
+            ("x.brake", Value::Name("Chopper")),
+            ("x.brake.Chopper.voltage", Value::Number(27.0)),
+            ("x.limit", Value::Name("none")),
+        ];
+        let values = values(&old);
+        assert!(values.iter().map(|(name, value)| (name.as_str(), *value)).eq(expected));
+        assert_eq!(back(&values), Ok(old));
+        let other = Old { speed: -1.5, brake: Brake::None, limit: Some(2.0) };
+        assert_eq!(back(&self::values(&other)), Ok(other));
+    }
+
+    #[test]
+    fn versions_read_each_other() {
+        let old = Old { speed: 1.5, brake: Brake::Chopper { voltage: 27.0 }, limit: Some(2.0) };
+        let new = New {
+            brake: NewBrake::Chopper { voltage: 27.0, hysteresis: None },
+            turns: 10,
+            limit: Some(2.0),
+            speed: 1.5,
+        };
+        assert_eq!(back::<Old>(&values(&new)), Ok(old));
+        let old = Old { speed: 1.5, brake: Brake::Chopper { voltage: 27.0 }, limit: Some(2.0) };
+        assert_eq!(back::<New>(&values(&old)), Ok(new), "defaults for what is new");
+    }
+
+    #[test]
+    fn what_has_no_default_must_be_there_and_fit() {
+        let old = Old { speed: 1.5, brake: Brake::None, limit: None };
+        for index in 1..4 {
+            let mut without = values(&old);
+            without.remove(index);
+            assert_eq!(back::<Old>(&without), Err(Error::Unreadable), "{index}");
+            let mut other = values(&old);
+            other[index].1 = Value::Name("Regenerative");
+            assert_eq!(back::<Old>(&other), Err(Error::Unreadable), "{index}");
+        }
+        assert_eq!(back::<Old>(&Values::new()), Err(Error::Unreadable));
+    }
+
+    #[test]
+    fn what_cannot_be_named_is_unsupported() {
+        #[derive(Serialize)]
+        struct Wide {
+            a_name_that_is_as_long_as_the_longest_path_and_then_a_little_more_than_that: bool,
+        }
+        let nothing: &mut Sink = &mut |_, _| Ok(());
+        assert_eq!(write("", &"text", nothing), Err(Error::Unsupported));
+        assert_eq!(write("", &[1.0_f32, 2.0], nothing), Err(Error::Unsupported));
+        assert_eq!(write("", &1.0_f64, nothing), Err(Error::Unsupported));
+        let wide = Wide {
+            a_name_that_is_as_long_as_the_longest_path_and_then_a_little_more_than_that: true,
+        };
+        assert_eq!(write("", &wide, nothing), Err(Error::Unsupported));
+        assert_eq!(write("", &1.0_f32, &mut |_, _| Err(Error::Full)), Err(Error::Full));
+    }
+}
