@@ -39,7 +39,7 @@ enum Task {
         #[arg(long, default_value = "auto")]
         toolchain: ToolchainChoice,
     },
-    /// Build the firmware for QEMU's MPS2 boards, to target/firmware/qemu.elf.
+    /// Build the firmware of every board, to target/firmware/<board>.elf, and check its control interrupt.
     Firmware {
         /// Where the standard library for Cortex-M comes from.
         #[arg(long, default_value = "auto")]
@@ -74,9 +74,8 @@ fn execute(task: Task) -> Result<()> {
         Task::Demo => demo(),
         Task::Test { toolchain } => test(toolchain),
         Task::Firmware { toolchain } => {
-            let elf = setup::everything(toolchain)?.firmware("qemu")?;
-            println!("Built {}.", elf.display());
-            interrupt::check(&elf)
+            let cross = setup::everything(toolchain)?;
+            BOARDS.iter().try_for_each(|board| interrupt::check(board, &cross.firmware(board.name)?))
         }
         Task::Count { toolchain, rewrite } => count::count(&setup::everything(toolchain)?, rewrite),
         Task::Plots => host_sim(&["paper", "--plots", "docs"]),

@@ -1,0 +1,147 @@
+//! ST's B-G431B-ESC1 (STM32G431CB) with a brushed motor on U and V, and an incremental encoder.
+//!
+//! | file | what |
+//! |---|---|
+//! | `pins.rs` | every pin, with its source |
+//! | `bridge.rs` | TIM1: PWM, dead time, break; when is sampled, what duty is left |
+//! | `analogue.rs` | currents, bus voltage, temperature |
+//! | `over_current.rs` | comparator to break |
+//! | `encoder.rs` | 16 reads a period by DMA |
+//! | `interrupt.rs` | the control interrupt, and how tasks reach it |
+//! | `safety.rs` | exceptions, panic, watchdog |
+//! | `defaults.rs` | what runs when no parameters are stored |
+//! | `memory.x` | what lies where |
+//!
+//! Peripherals by their registers where embassy-stm32's drivers would switch outputs on before dead time and break are set, or
+//! have no such use. Nothing of this has run on a board yet: see `docs/b-g431b-esc1.md`.
+//!
+//! [`start`] brings everything up with outputs off. Peripherals that the control interrupt uses are not handed out.
+#![allow(unsafe_code, reason = "exceptions, and what is handed to an interrupt")]
+
+pub mod analogue;
+pub mod bridge;
+pub mod defaults;
+pub mod encoder;
+pub mod interrupt;
+mod over_current;
+mod pins;
+mod safety;
+
+use crate::fault::Fault;
+use crate::supervisor::Supervisor;
+use bridge::Bridge;
+use embassy_stm32::interrupt::{InterruptExt, Priority};
+use embassy_stm32::rcc::{self, Hse, HseMode, Pll, PllMul, PllPreDiv, PllRDiv, PllSource, Sysclk};
+use embassy_stm32::time::Hertz;
+use embassy_stm32::wdg::IndependentWatchdog;
+use embassy_stm32::{Config, Peri, peripherals};
+use encoder::Encoder;
+pub use interrupt::{Cycles, Report, Tasks};
+
+/// Clock cycles in a microsecond.
+const CYCLES_PER_MICROSECOND: u32 = bridge::CLOCK / 1_000_000;
+
+/// What the tasks get.
+pub struct Board {
+    /// Commands and reports; nothing if the hardware did not start: then outputs stay off for good.
+    pub tasks: Option<Tasks>,
+    /// Feed it, but only while [`interrupt::periods`] goes on.
+    pub watchdog: IndependentWatchdog<'static, peripherals::IWDG>,
+    /// The status LED's pin.
+    pub led: Peri<'static, peripherals::PC6>,
+    /// The button's pin: low while it is pressed.
+    pub button: Peri<'static, peripherals::PC10>,
+    /// Why the drive starts with a fault, if it does.
+    pub fault: Option<Fault>,
+}
+
+/// Starts the board, with outputs off, and the control interrupt.
+pub fn start() -> Board {
+    let p = embassy_stm32::init(config());
+    pins::start_unused_leg();
+    safety::watch_clock();
+    let was_watchdog = safety::take_watchdog_reset();
+    let watchdog = safety::start_watchdog(p.IWDG);
+    start_cycle_counter();
+    over_current::start(p.DAC3, p.COMP1);
+    let bridge = Bridge::start(p.TIM1);
+    let is_converting = analogue::start((p.ADC1, p.ADC2));
+    let encoder = Encoder::start((p.TIM3, p.TIM4, p.DMA1_CH1, p.DMA1_CH2));
+    // The clock of embassy's tasks gives way to the control interrupt.
+    embassy_stm32::interrupt::TIM1_BRK_TIM15.set_priority(Priority::P8);
+
+    let mut fault = was_watchdog.then_some(Fault::WatchdogReset);
+    let supervisor = Supervisor::new(&defaults::drive(), &defaults::PROTECTION);
+    let tasks = match (bridge, supervisor, is_converting) {
+        (Some(bridge), Ok(mut supervisor), true) => {
+            if let Some(fault) = fault {
+                supervisor.latch(fault);
+            }
+            Some(interrupt::start(supervisor, bridge, encoder))
+        }
+        (_, Err(_), _) => {
+            fault = Some(Fault::BadParameters);
+            None
+        }
+        _ => {
+            fault = Some(Fault::SelfTest);
+            None
+        }
+    };
+    Board { tasks, watchdog, led: p.PC6, button: p.PC10, fault }
+}
+
+/// 170 MHz from the board's crystal of 8 MHz.
+fn config() -> Config {
+    let mut config = Config::default();
+    config.rcc.hse = Some(Hse { freq: Hertz::mhz(8), mode: HseMode::Oscillator });
+    config.rcc.pll = Some(Pll {
+        source: PllSource::HSE,
+        prediv: PllPreDiv::DIV2,
+        mul: PllMul::MUL85,
+        divp: None,
+        divq: None,
+        divr: Some(PllRDiv::DIV2),
+    });
+    config.rcc.sys = Sysclk::PLL1_R;
+    config.rcc.boost = true;
+    config.rcc.mux.adc12sel = rcc::mux::Adcsel::SYS;
+    config.bdma_interrupt_priority = Priority::P8;
+    config
+}
+
+fn start_cycle_counter() {
+    // SAFETY: nobody else uses these two, and both only count.
+    let mut core = unsafe { cortex_m::Peripherals::steal() };
+    core.DCB.enable_trace();
+    core.DWT.enable_cycle_counter();
+}
+
+/// Waits for what hardware does within microseconds; gives up after a millisecond. Tells whether it was done.
+fn wait_for(mut is_done: impl FnMut() -> bool) -> bool {
+    (0..1000).any(|_| {
+        cortex_m::asm::delay(CYCLES_PER_MICROSECOND);
+        is_done()
+    })
+}
+
+// Moves the control interrupt's code to CCM SRAM, before anything is called that might be in it. In assembly, since no Rust may run
+// before memory is initialised. The linker script gives the three addresses, aligned to 8.
+core::arch::global_asm!(
+    ".section .text.__pre_init, \"ax\"",
+    ".global __pre_init",
+    ".type __pre_init, %function",
+    ".thumb_func",
+    "__pre_init:",
+    "ldr r0, =__control_start",
+    "ldr r1, =__control_end",
+    "ldr r2, =__control_load",
+    "1: cmp r0, r1",
+    "beq 2f",
+    "ldm r2!, {{r3}}",
+    "stm r0!, {{r3}}",
+    "b 1b",
+    "2: bx lr",
+    ".pool",
+    ".size __pre_init, . - __pre_init",
+);
