@@ -8,7 +8,8 @@ use defmt_rtt as _;
 use embassy_executor::Spawner;
 use embassy_stm32::gpio::{Input, Level, Output, Pull, Speed};
 use embassy_time::{Duration, Ticker};
-use quasidrive::board::b_g431b_esc1::{Board, Report, Tasks, interrupt, start};
+use quasidrive::board::b_g431b_esc1::interrupt::{self, Report};
+use quasidrive::board::b_g431b_esc1::{Board, start};
 use quasidrive::supervisor::{Command, Mode};
 
 /// A turn of the main loop (ms); a fifth of the watchdog's time.
@@ -16,7 +17,7 @@ const TURN: u64 = 10;
 
 #[embassy_executor::main]
 async fn main(_spawner: Spawner) {
-    let Board { mut tasks, mut watchdog, led, button, fault } = start();
+    let Board { mut watchdog, led, button, fault, is_running } = start();
     let mut led = Output::new(led, Level::Low, Speed::Low);
     let button = Input::new(button, Pull::Up);
     if let Some(fault) = fault {
@@ -29,16 +30,15 @@ async fn main(_spawner: Spawner) {
         ticker.next().await;
         // Fed only if both go on: this loop and the interrupt. Without an interrupt outputs are off for good, and there is nothing to watch.
         let periods = interrupt::periods();
-        if periods != last || tasks.is_none() {
+        if periods != last || !is_running {
             watchdog.pet();
         }
         last = periods;
-        let Some(Tasks { commands, reports }) = &mut tasks else { continue };
         if button.is_low() {
-            // Full of commands that were not taken yet: the next turn tries again.
-            let _ = commands.enqueue(Command::Off);
+            // If there was no room for it, the next turn tries again.
+            let _ = interrupt::send(Command::Off);
         }
-        while let Some(report) = reports.dequeue() {
+        if let Some(report) = interrupt::report() {
             log(&report, mode);
             mode = report.mode;
             led.set_level(Level::from(mode != Mode::Faulted));

@@ -5,3 +5,5 @@ pub mod b_g431b_esc1;
 mod handed_over;
 #[cfg(feature = "qemu")]
 pub mod qemu;
+#[cfg(feature = "b_g431b_esc1")]
+mod slot;

@@ -1,5 +1,6 @@
 //! `cargo xtask`: the project's chores.
 
+mod boards;
 mod count;
 mod cross;
 mod cycles;
@@ -8,11 +9,13 @@ mod interrupt;
 mod packages;
 mod setup;
 mod shell;
+mod size;
 mod thumb;
 
 use anyhow::Result;
+use boards::BOARDS;
 use clap::{Parser, Subcommand};
-use cross::ToolchainChoice;
+use cross::{Cross, ToolchainChoice};
 use shell::{cargo, root};
 use std::process::ExitCode;
 
@@ -54,6 +57,12 @@ enum Task {
         #[arg(long)]
         rewrite: bool,
     },
+    /// Print what every board's image takes of its flash and RAM; fail beyond the budget.
+    Size {
+        /// Where the standard library for Cortex-M comes from.
+        #[arg(long, default_value = "auto")]
+        toolchain: ToolchainChoice,
+    },
     /// Redraw the README's plots.
     Plots,
 }
@@ -74,10 +83,13 @@ fn execute(task: Task) -> Result<()> {
         Task::Demo => demo(),
         Task::Test { toolchain } => test(toolchain),
         Task::Firmware { toolchain } => {
-            let cross = setup::everything(toolchain)?;
-            BOARDS.iter().try_for_each(|board| interrupt::check(board, &cross.firmware(board.name)?))
+            let cross = Cross::set_up(toolchain)?;
+            BOARDS
+                .iter()
+                .try_for_each(|board| interrupt::check(board, &cross.firmware(board.name)?))
         }
         Task::Count { toolchain, rewrite } => count::count(&setup::everything(toolchain)?, rewrite),
+        Task::Size { toolchain } => size::size(&Cross::set_up(toolchain)?),
         Task::Plots => host_sim(&["paper", "--plots", "docs"]),
     }
 }
@@ -115,7 +127,10 @@ fn test(toolchain: ToolchainChoice) -> Result<()> {
     cargo(&["fmt", "--all", "--check"]).run()?;
     cargo(&["clippy", "--workspace", "--all-targets", "--", "--deny", "warnings"]).run()?;
     cargo(&["test", "--workspace"]).run()?;
-    interrupt::check(&cross.firmware("qemu")?)?;
+    for board in &BOARDS {
+        interrupt::check(board, &cross.firmware(board.name)?)?;
+    }
+    size::size(&cross)?;
     processor_in_the_loop()?;
     count::count(&cross, false)?;
     cargo(&["doc", "--workspace", "--no-deps"]).env("RUSTDOCFLAGS", "--deny warnings").run()?;

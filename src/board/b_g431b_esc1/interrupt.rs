@@ -1,12 +1,13 @@
 //! The control interrupt: once a PWM period, from the converters' end of sequence to the bridge's compare values.
 //!
-//! It has the highest priority, and its code is in CCM SRAM (`memory.x`). Its state is its own. Tasks reach it by two queues: commands go
-//! in, one a period; reports come out, every so many periods. A full queue loses the newest report, never a period.
+//! It has the highest priority, and its code is in CCM SRAM (`memory.x`). Its state is its own. Tasks reach it by [`send`], a command a
+//! period, and [`report`]; a report that nobody takes delays the next one, never a period.
 
 use super::analogue::{self, Conversions};
 use super::bridge::{self, Bridge};
 use super::encoder::{Counts, Encoder};
 use crate::board::handed_over::HandedOver;
+use crate::board::slot::Slot;
 use crate::fault::{ActiveLimits, Faults};
 use crate::hal::{Codes, Sample};
 use crate::shunts::Shunts;
@@ -15,14 +16,6 @@ use core::sync::atomic::{AtomicU32, Ordering};
 use cortex_m::peripheral::{DWT, NVIC};
 use embassy_stm32::interrupt;
 use embassy_stm32::interrupt::InterruptExt;
-use heapless::spsc::{Consumer, Producer, Queue};
-use static_cell::StaticCell;
-
-/// Commands on their way.
-const COMMANDS: usize = 8;
-
-/// Reports on their way.
-const REPORTS: usize = 4;
 
 /// Periods from one report to the next, as long as nobody sets another number.
 const REPORT_EVERY: u32 = 2000;
@@ -67,20 +60,26 @@ pub struct Cycles {
     pub longest: u32,
 }
 
-/// The tasks' ends of the queues.
-pub struct Tasks {
-    /// Commands to the drive; a period takes one.
-    pub commands: Producer<'static, Command<f32>>,
-    /// What the drive reports.
-    pub reports: Consumer<'static, Report>,
-}
-
 static CONTROL: HandedOver<Control> = HandedOver::new();
+
+static COMMAND: Slot<Command<f32>> = Slot::new();
+
+static REPORT: Slot<Report> = Slot::new();
 
 /// Counts periods; stands still when the interrupt does.
 static PERIODS: AtomicU32 = AtomicU32::new(0);
 
 static REPORT_PERIODS: AtomicU32 = AtomicU32::new(REPORT_EVERY);
+
+/// Gives the drive a command. Gives it back if the last one was not taken yet, which takes a period.
+pub fn send(command: Command<f32>) -> Result<(), Command<f32>> {
+    COMMAND.put(command)
+}
+
+/// What the drive reports, if there is something new.
+pub fn report() -> Option<Report> {
+    REPORT.take()
+}
 
 /// Periods since the start; wraps.
 pub fn periods() -> u32 {
@@ -98,8 +97,6 @@ struct Control {
     bridge: Bridge,
     encoder: Encoder,
     shunts: Shunts,
-    commands: Consumer<'static, Command<f32>>,
-    reports: Producer<'static, Report>,
     refused: Option<Refusal>,
     cycles: Cycles,
     until_report: u32,
@@ -108,11 +105,7 @@ struct Control {
 }
 
 /// Hands everything to the interrupt and enables it.
-pub(super) fn start(supervisor: Supervisor<f32>, bridge: Bridge, encoder: Encoder) -> Tasks {
-    static TO_DRIVE: StaticCell<Queue<Command<f32>, COMMANDS>> = StaticCell::new();
-    static FROM_DRIVE: StaticCell<Queue<Report, REPORTS>> = StaticCell::new();
-    let (commands, from_tasks) = TO_DRIVE.init(Queue::new()).split();
-    let (to_tasks, reports) = FROM_DRIVE.init(Queue::new()).split();
+pub(super) fn start(supervisor: Supervisor<f32>, bridge: Bridge, encoder: Encoder) {
     // SAFETY: the interrupt is still masked.
     unsafe {
         CONTROL.hand_over(Control {
@@ -120,8 +113,6 @@ pub(super) fn start(supervisor: Supervisor<f32>, bridge: Bridge, encoder: Encode
             bridge,
             encoder,
             shunts: Shunts::new(analogue::SHUNTS),
-            commands: from_tasks,
-            reports: to_tasks,
             refused: None,
             cycles: Cycles::default(),
             until_report: 1,
@@ -132,7 +123,6 @@ pub(super) fn start(supervisor: Supervisor<f32>, bridge: Bridge, encoder: Encode
     NVIC::unpend(interrupt::ADC1_2);
     // SAFETY: all that the handler uses is in place.
     unsafe { interrupt::ADC1_2.enable() };
-    Tasks { commands, reports }
 }
 
 #[interrupt]
@@ -152,7 +142,7 @@ impl Control {
         bridge::take_update();
         let Conversions { legs, bus_voltage, temperature } = analogue::read();
         let Counts { reads, shift, is_in_time } = self.encoder.read();
-        if let Some(command) = self.commands.dequeue() {
+        if let Some(command) = COMMAND.take() {
             self.refused = self.supervisor.command(command).err().or(self.refused);
         }
         let current = self.shunts.read(legs, self.bridge.is_on());
@@ -170,9 +160,8 @@ impl Control {
 
         let period = PERIODS.load(Ordering::Relaxed).wrapping_add(1);
         PERIODS.store(period, Ordering::Relaxed);
-        self.until_report -= 1;
+        self.until_report = self.until_report.saturating_sub(1);
         if self.until_report == 0 {
-            self.until_report = REPORT_PERIODS.load(Ordering::Relaxed);
             self.report(period, temperature);
         }
         self.cycles.last = DWT::cycle_count().wrapping_sub(start);
@@ -202,8 +191,9 @@ impl Control {
             refused: self.refused,
             cycles: self.cycles,
         };
-        if self.reports.enqueue(report).is_ok() {
+        if REPORT.put(report).is_ok() {
             self.refused = None;
+            self.until_report = REPORT_PERIODS.load(Ordering::Relaxed);
         }
     }
 }

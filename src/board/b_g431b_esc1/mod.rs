@@ -36,15 +36,12 @@ use embassy_stm32::time::Hertz;
 use embassy_stm32::wdg::IndependentWatchdog;
 use embassy_stm32::{Config, Peri, peripherals};
 use encoder::Encoder;
-pub use interrupt::{Cycles, Report, Tasks};
 
 /// Clock cycles in a microsecond.
 const CYCLES_PER_MICROSECOND: u32 = bridge::CLOCK / 1_000_000;
 
 /// What the tasks get.
 pub struct Board {
-    /// Commands and reports; nothing if the hardware did not start: then outputs stay off for good.
-    pub tasks: Option<Tasks>,
     /// Feed it, but only while [`interrupt::periods`] goes on.
     pub watchdog: IndependentWatchdog<'static, peripherals::IWDG>,
     /// The status LED's pin.
@@ -53,6 +50,8 @@ pub struct Board {
     pub button: Peri<'static, peripherals::PC10>,
     /// Why the drive starts with a fault, if it does.
     pub fault: Option<Fault>,
+    /// Whether the control interrupt runs. If not, the hardware did not start, and outputs stay off for good.
+    pub is_running: bool,
 }
 
 /// Starts the board, with outputs off, and the control interrupt.
@@ -70,25 +69,20 @@ pub fn start() -> Board {
     // The clock of embassy's tasks gives way to the control interrupt.
     embassy_stm32::interrupt::TIM1_BRK_TIM15.set_priority(Priority::P8);
 
-    let mut fault = was_watchdog.then_some(Fault::WatchdogReset);
-    let supervisor = Supervisor::new(&defaults::drive(), &defaults::PROTECTION);
-    let tasks = match (bridge, supervisor, is_converting) {
-        (Some(bridge), Ok(mut supervisor), true) => {
-            if let Some(fault) = fault {
+    let watchdog_reset = was_watchdog.then_some(Fault::WatchdogReset);
+    let parameters = Supervisor::new(&defaults::drive(), &defaults::PROTECTION);
+    let (is_running, fault) = match (bridge, is_converting, parameters) {
+        (Some(bridge), true, Ok(mut supervisor)) => {
+            if let Some(fault) = watchdog_reset {
                 supervisor.latch(fault);
             }
-            Some(interrupt::start(supervisor, bridge, encoder))
+            interrupt::start(supervisor, bridge, encoder);
+            (true, watchdog_reset)
         }
-        (_, Err(_), _) => {
-            fault = Some(Fault::BadParameters);
-            None
-        }
-        _ => {
-            fault = Some(Fault::SelfTest);
-            None
-        }
+        (Some(_), true, Err(_)) => (false, Some(Fault::BadParameters)),
+        _ => (false, Some(Fault::SelfTest)),
     };
-    Board { tasks, watchdog, led: p.PC6, button: p.PC10, fault }
+    Board { watchdog, led: p.PC6, button: p.PC10, fault, is_running }
 }
 
 /// 170 MHz from the board's crystal of 8 MHz.

@@ -1,0 +1,56 @@
+//! One value on its way between a task and an interrupt, either way, without a lock: nobody ever waits.
+#![allow(unsafe_code, reason = "a cell that its state guards")]
+
+use core::cell::UnsafeCell;
+use core::mem::MaybeUninit;
+use core::sync::atomic::{AtomicU8, Ordering};
+
+const EMPTY: u8 = 0;
+const FULL: u8 = 1;
+/// Somebody is at it.
+const BUSY: u8 = 2;
+
+/// Holds a value or none.
+pub(super) struct Slot<T> {
+    state: AtomicU8,
+    value: UnsafeCell<MaybeUninit<T>>,
+}
+
+// SAFETY: only who has changed the state to BUSY touches the value, and nobody else can until they change it on.
+unsafe impl<T: Send> Sync for Slot<T> {}
+
+impl<T: Copy> Slot<T> {
+    pub const fn new() -> Self {
+        Self { state: AtomicU8::new(EMPTY), value: UnsafeCell::new(MaybeUninit::uninit()) }
+    }
+
+    /// Puts a value in; gives it back if there is one.
+    #[inline]
+    pub fn put(&self, value: T) -> Result<(), T> {
+        if !self.claim(EMPTY) {
+            return Err(value);
+        }
+        // SAFETY: the state is BUSY, by this call.
+        unsafe { (*self.value.get()).write(value) };
+        self.state.store(FULL, Ordering::Release);
+        Ok(())
+    }
+
+    /// Takes the value out, if there is one.
+    #[inline]
+    pub fn take(&self) -> Option<T> {
+        if !self.claim(FULL) {
+            return None;
+        }
+        // SAFETY: the state is BUSY, by this call, and was FULL: a value was written.
+        let value = unsafe { (*self.value.get()).assume_init() };
+        self.state.store(EMPTY, Ordering::Release);
+        Some(value)
+    }
+
+    fn claim(&self, state: u8) -> bool {
+        let claimed =
+            self.state.compare_exchange(state, BUSY, Ordering::Acquire, Ordering::Relaxed);
+        claimed.is_ok()
+    }
+}
