@@ -29,6 +29,7 @@ pub struct DriveConfig {
     /// What a sample may hold, and what the bridge may be told.
     pub limits: Limits,
     /// How commanded speeds become references.
+    #[serde(rename = "reference")]
     pub shape: Shape,
 }
 

@@ -4,6 +4,7 @@
 //! never change; a new entry takes a new number. `docs/faults.md` is this list as a table.
 
 use core::fmt;
+use serde::{Deserialize, Serialize};
 
 /// Why a drive stopped. A fault is latched and outputs are off until it is cleared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -287,7 +288,7 @@ impl fmt::Display for ActiveLimit {
 }
 
 /// Latched faults: bit n is the fault of number n.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Faults(pub u32);
 
 impl Faults {
@@ -316,7 +317,7 @@ impl Faults {
 }
 
 /// Active limits: bit n is the limit of number n.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ActiveLimits(pub u32);
 
 impl ActiveLimits {

@@ -89,7 +89,7 @@ pub struct Conditions {
 }
 
 /// Whether the drive drives.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[repr(u8)]
 pub enum Mode {
     /// Nothing was sampled yet.
@@ -156,7 +156,7 @@ pub const TRANSITIONS: [(Mode, Event, Mode); 17] = {
 };
 
 /// A command to the drive.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Command<S> {
     /// Turn outputs on, at a commanded speed of zero.
     Arm,

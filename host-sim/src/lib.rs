@@ -4,6 +4,7 @@
 //! - [`profile`]: quantities that change over time;
 //! - [`sensors`]: what converters and counters make of the truth;
 //! - [`board`]: the simulated board, which implements [`quasidrive::hal::Board`];
+//! - [`flash`]: a microcontroller's flash, whose power can fail;
 //! - [`double`]: a double-precision scalar, to run the same laws without rounding in the way;
 //! - [`scenario`]: what to play, read from TOML and checked;
 //! - [`link`]: where the drive runs, here or in [`qemu`];
@@ -15,6 +16,7 @@
 
 pub mod board;
 pub mod double;
+pub mod flash;
 pub mod frame;
 pub mod link;
 pub mod metrics;

@@ -1,0 +1,68 @@
+//! Frames: a message with its CRC-32, stuffed by COBS so that it holds no zero, between two zeros.
+//!
+//! Whatever the line loses or adds, a zero begins anew: no garbage ahead of a frame harms it. A frame that was changed on its
+//! way or cut short is dropped, and so is one that is longer than any message.
+
+use crc::{CRC_32_ISO_HDLC, Crc};
+use postcard::ser_flavors::crc::CrcModifier;
+use postcard::ser_flavors::{Cobs, Slice};
+use serde::Serialize;
+
+/// Longest frame, in bytes, with its zeros.
+pub const LONGEST: usize = 256;
+
+/// Bytes of the CRC.
+const CRC_LENGTH: usize = 4;
+
+static CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
+
+/// A message's frame; nothing if the buffer does not hold it.
+pub fn encode<'b>(message: &impl Serialize, buffer: &'b mut [u8; LONGEST]) -> Option<&'b [u8]> {
+    let (first, rest) = buffer.split_first_mut()?;
+    *first = 0;
+    let stuffed = Cobs::try_new(Slice::new(rest)).ok()?;
+    let with_crc = CrcModifier::new(stuffed, CRC.digest());
+    let length = postcard::serialize_with_flavor(message, with_crc).ok()?.len();
+    buffer.get(..=length)
+}
+
+/// Finds frames in a stream of bytes.
+///
+/// A byte costs the same few instructions whatever came before, and a zero at most one pass over [`LONGEST`] bytes.
+#[derive(Clone, Debug)]
+pub struct Decoder {
+    buffer: [u8; LONGEST],
+    /// Bytes of the frame so far; more than the buffer holds if the frame is too long.
+    length: usize,
+}
+
+impl Decoder {
+    /// At the beginning of a stream.
+    pub const fn new() -> Self {
+        Self { buffer: [0; LONGEST], length: 0 }
+    }
+
+    /// Takes a byte. At the end of a frame that arrived as it was sent, gives its message.
+    pub fn feed(&mut self, byte: u8) -> Option<&[u8]> {
+        if byte != 0 {
+            if let Some(place) = self.buffer.get_mut(self.length) {
+                *place = byte;
+                self.length += 1;
+            } else {
+                self.length = LONGEST + 1;
+            }
+            return None;
+        }
+        let length = core::mem::take(&mut self.length);
+        let frame = self.buffer.get_mut(..length)?;
+        let length = cobs::decode_in_place(frame).ok()?;
+        let (message, crc) = self.buffer.get(..length)?.split_last_chunk::<CRC_LENGTH>()?;
+        (CRC.checksum(message) == u32::from_le_bytes(*crc)).then_some(message)
+    }
+}
+
+impl Default for Decoder {
+    fn default() -> Self {
+        Self::new()
+    }
+}
