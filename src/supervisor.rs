@@ -288,6 +288,14 @@ impl<S: Scalar> Supervisor<S> {
         })
     }
 
+    /// Takes the place of another supervisor, with outputs off: the motor is as hot as it was, and its faults are still there.
+    pub fn succeed(&mut self, before: &Self) {
+        self.slow.heat = before.slow.heat;
+        for fault in before.faults.iter() {
+            self.latch(fault);
+        }
+    }
+
     /// Takes a command, from the next step on.
     pub fn command(&mut self, command: Command<S>) -> Result<(), Refusal> {
         let refused = Err(Refusal::Mode(self.mode));
@@ -324,7 +332,8 @@ impl<S: Scalar> Supervisor<S> {
         if conditions.tripped {
             self.latch(Fault::HardwareTrip);
         }
-        if conditions.overrun {
+        // With outputs off nothing depends on time, and the flash may be busy.
+        if conditions.overrun && self.output != Output::Off {
             self.latch(Fault::Overrun);
         }
         if conditions.current_sensors == CurrentSensors::Disagree {

@@ -1,6 +1,7 @@
 //! The drive on ST's B-G431B-ESC1.
 //!
-//! The control interrupt does the work ([`quasidrive::board::b_g431b_esc1`]). Here is what runs beside it: watchdog, log, LED, button.
+//! The control interrupt does the work ([`quasidrive::board::b_g431b_esc1`]). Here is what runs beside it: the serial link, the watchdog,
+//! log, LED and button.
 #![no_std]
 #![no_main]
 
@@ -8,61 +9,69 @@ use defmt_rtt as _;
 use embassy_executor::Spawner;
 use embassy_stm32::gpio::{Input, Level, Output, Pull, Speed};
 use embassy_time::{Duration, Ticker};
-use quasidrive::board::b_g431b_esc1::interrupt::{self, Report};
-use quasidrive::board::b_g431b_esc1::{Board, start};
+use quasidrive::board::b_g431b_esc1::link::{Link, Port};
+use quasidrive::board::b_g431b_esc1::{Board, feed_watchdog, interrupt, start};
+use quasidrive::link::message::Status;
 use quasidrive::supervisor::{Command, Mode};
 
 /// A turn of the main loop (ms); a fifth of the watchdog's time.
 const TURN: u64 = 10;
 
 #[embassy_executor::main]
-async fn main(_spawner: Spawner) {
-    let Board { mut watchdog, led, button, fault, is_running } = start();
+async fn main(spawner: Spawner) {
+    let Board { link, port, led, button, is_running } = start();
+    match serve(link, port) {
+        Ok(task) => spawner.spawn(task),
+        Err(_) => defmt::error!("no room for the link"),
+    }
+    if is_running {
+        defmt::info!("started, outputs off");
+    } else {
+        defmt::error!("the hardware did not start: outputs stay off");
+    }
     let mut led = Output::new(led, Level::Low, Speed::Low);
     let button = Input::new(button, Pull::Up);
-    if let Some(fault) = fault {
-        defmt::error!("fault {=u8} from the start", fault as u8);
-    }
     let mut ticker = Ticker::every(Duration::from_millis(TURN));
     let mut last = interrupt::periods();
-    let mut mode = Mode::Boot;
     loop {
         ticker.next().await;
         // Fed only if both go on: this loop and the interrupt. Without an interrupt outputs are off for good, and there is nothing to watch.
         let periods = interrupt::periods();
         if periods != last || !is_running {
-            watchdog.pet();
+            feed_watchdog();
         }
         last = periods;
         if button.is_low() {
-            // If there was no room for it, the next turn tries again.
-            let _ = interrupt::send(Command::Off);
+            // Refused if they are off already.
+            interrupt::command(Command::Off);
         }
-        if let Some(report) = interrupt::report() {
-            log(&report, mode);
-            mode = report.mode;
-            led.set_level(Level::from(mode != Mode::Faulted));
+        if let Some(status) = interrupt::status() {
+            led.set_level(Level::from(status.mode != Mode::Faulted));
+            log(&status);
         }
     }
 }
 
-/// A line for a report.
-fn log(report: &Report, mode_before: Mode) {
-    if report.mode != mode_before {
-        defmt::info!("mode {=u8}, faults {=u32:#x}", report.mode as u8, report.faults.0);
+#[embassy_executor::task]
+async fn serve(link: Link, port: Port) {
+    link.serve(port).await;
+}
+
+fn log(status: &Status) {
+    let mode = match status.mode {
+        Mode::Boot => "boot",
+        Mode::Calibrating => "calibrating",
+        Mode::Ready => "ready",
+        Mode::Armed => "armed",
+        Mode::Running => "running",
+        Mode::Stopping => "stopping",
+        Mode::Faulted => "faulted",
+    };
+    defmt::info!("{=str}", mode);
+    for fault in status.faults.iter() {
+        defmt::error!("fault {=u8}: {=str}", fault as u8, fault.entry().name);
     }
-    if report.refused.is_some() {
-        defmt::warn!("a command was refused");
+    for limit in status.limits.iter() {
+        defmt::info!("limit {=u8}: {=str}", limit as u8, limit.entry().name);
     }
-    defmt::info!(
-        "{=f32} rad/s of {=f32}, {=f32} A, {=f32} V of {=f32}, {=f32} °C, interrupt {=u32} cycles, at most {=u32}",
-        report.speed,
-        report.reference,
-        report.current,
-        report.voltage,
-        report.bus_voltage,
-        report.temperature,
-        report.cycles.last,
-        report.cycles.longest
-    );
 }

@@ -19,7 +19,7 @@ pub(super) struct Slot<T> {
 // SAFETY: only who has changed the state to BUSY touches the value, and nobody else can until they change it on.
 unsafe impl<T: Send> Sync for Slot<T> {}
 
-impl<T: Copy> Slot<T> {
+impl<T> Slot<T> {
     pub const fn new() -> Self {
         Self { state: AtomicU8::new(EMPTY), value: UnsafeCell::new(MaybeUninit::uninit()) }
     }
@@ -42,10 +42,16 @@ impl<T: Copy> Slot<T> {
         if !self.claim(FULL) {
             return None;
         }
-        // SAFETY: the state is BUSY, by this call, and was FULL: a value was written.
-        let value = unsafe { (*self.value.get()).assume_init() };
+        // SAFETY: the state is BUSY, by this call, and was FULL: a value was written, and it is not read again.
+        let value = unsafe { (*self.value.get()).assume_init_read() };
         self.state.store(EMPTY, Ordering::Release);
         Some(value)
+    }
+
+    /// Whether there is a value, which is cheaper to ask than to take one.
+    #[inline]
+    pub fn is_full(&self) -> bool {
+        self.state.load(Ordering::Relaxed) == FULL
     }
 
     fn claim(&self, state: u8) -> bool {

@@ -36,7 +36,8 @@ pub const B_G431B_ESC1: Board = Board {
         "5drive14Drive$LT$S$GT$8fault_in",
         // A new command.
         "10trajectory15SCurve$LT$S$GT$4plan",
-        "9interrupt7Control6report",
+        "9interrupt7Control6change",
+        "9interrupt7Control11tell_period",
     ],
     budget: Budget { flash: 64 * 1024, ram: 12 * 1024 },
 };

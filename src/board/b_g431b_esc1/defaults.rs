@@ -6,6 +6,7 @@ use crate::control::drive_form::DriveFormConfig;
 use crate::control::{ControlConfig, Timing};
 use crate::drive::{DriveConfig, Limits};
 use crate::motor::MotorParameters;
+use crate::parameters::Parameters;
 use crate::sense::{Calibration, Reads, Sensors};
 use crate::supervisor::Protection;
 use crate::trajectory::Shape;
@@ -47,18 +48,19 @@ pub const PROTECTION: Protection = Protection {
 };
 
 /// The paper's motor with an encoder of 1024 lines, under the drive form.
-pub fn drive() -> DriveConfig {
+pub fn parameters() -> Parameters {
     let motor = MotorParameters::PAPER;
     let calibration = calibration(4096);
     // The tenth of the bus that this leaves in reserve covers the dead time, which takes up to 0.4 V at 24 V.
     let current = LIMITS.current_command;
     let control = DriveFormConfig::default_for(&motor, &TIMING, &calibration, 24.0, current);
-    DriveConfig {
+    let drive = DriveConfig {
         motor,
         sensors: Sensors::Codes(calibration),
         control: ControlConfig::Drive(control),
         timing: TIMING,
         limits: LIMITS,
         shape: Shape::SecondOrder { bandwidth: 20.0 },
-    }
+    };
+    Parameters { drive, protection: PROTECTION }
 }

@@ -1,84 +1,81 @@
 //! The control interrupt: once a PWM period, from the converters' end of sequence to the bridge's compare values.
 //!
-//! It has the highest priority, and its code is in CCM SRAM (`memory.x`). Its state is its own. Tasks reach it by [`send`], a command a
-//! period, and [`report`]; a report that nobody takes delays the next one, never a period.
+//! It has the highest priority, and its code is in CCM SRAM (`memory.x`). Its state is its own. Tasks reach it by slots of one value each:
+//! [`command`] and [`change`] go in, what became of it, [`status`] and [`telemetry`] come out. What does not fit waits or is dropped; a
+//! period never is.
 
 use super::analogue::{self, Conversions};
 use super::bridge::{self, Bridge};
 use super::encoder::{Counts, Encoder};
 use crate::board::handed_over::HandedOver;
 use crate::board::slot::Slot;
-use crate::fault::{ActiveLimits, Faults};
+use crate::drive::ReadyController;
 use crate::hal::{Codes, Sample};
+use crate::link::message::{Status, Telemetry};
 use crate::shunts::Shunts;
-use crate::supervisor::{Command, Conditions, Mode, Refusal, Supervisor};
+use crate::supervisor::{Command, Conditions, Output, Refusal, Supervisor};
 use core::sync::atomic::{AtomicU32, Ordering};
 use cortex_m::peripheral::{DWT, NVIC};
 use embassy_stm32::interrupt;
 use embassy_stm32::interrupt::InterruptExt;
 
-/// Periods from one report to the next, as long as nobody sets another number.
-const REPORT_EVERY: u32 = 2000;
-
-/// What the interrupt tells.
+/// What became of a command.
 #[derive(Clone, Copy, Debug)]
-pub struct Report {
-    /// Periods since the start; wraps.
-    pub period: u32,
-    /// Whether the drive drives.
-    pub mode: Mode,
-    /// Latched faults.
-    pub faults: Faults,
-    /// What is held back.
-    pub limits: ActiveLimits,
-    /// The reference's speed (rad/s); zero before the first driven period, as all that the law tells.
-    pub reference: f32,
-    /// Shaft speed (rad/s).
-    pub speed: f32,
-    /// Armature current (A).
-    pub current: f32,
-    /// Armature voltage asked of the bridge (V).
-    pub voltage: f32,
-    /// Estimated load torque (N·m).
-    pub load_torque: f32,
-    /// Bus voltage (V).
-    pub bus_voltage: f32,
-    /// Board temperature (°C).
-    pub temperature: f32,
-    /// The command that was refused last, and why.
-    pub refused: Option<Refusal>,
-    /// What the interrupt took (clock cycles): the last one before this report, and the longest.
-    pub cycles: Cycles,
+pub struct Answer {
+    /// Whether it was taken.
+    pub result: Result<(), Refusal>,
+    /// What the drive is doing since.
+    pub status: Status,
 }
 
-/// Time of the interrupt (clock cycles), without the core's own entry and exit.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Cycles {
-    /// Of the last one.
-    pub last: u32,
-    /// Of the longest one.
-    pub longest: u32,
+/// What takes the place of what there is.
+#[derive(Clone, Debug)]
+#[allow(clippy::large_enum_variant, reason = "both are large")]
+pub enum Change {
+    /// Another controller, at any time.
+    Controller(ReadyController<f32>),
+    /// Another supervisor, with outputs off. Heat and faults go on.
+    Supervisor(Supervisor<f32>),
 }
 
 static CONTROL: HandedOver<Control> = HandedOver::new();
 
 static COMMAND: Slot<Command<f32>> = Slot::new();
-
-static REPORT: Slot<Report> = Slot::new();
+static ANSWER: Slot<Answer> = Slot::new();
+static CHANGE: Slot<Change> = Slot::new();
+static STATUS: Slot<Status> = Slot::new();
+static TELEMETRY: Slot<Telemetry> = Slot::new();
 
 /// Counts periods; stands still when the interrupt does.
 static PERIODS: AtomicU32 = AtomicU32::new(0);
 
-static REPORT_PERIODS: AtomicU32 = AtomicU32::new(REPORT_EVERY);
+/// Periods from one telemetry to the next; zero: none.
+static DECIMATION: AtomicU32 = AtomicU32::new(0);
 
-/// Gives the drive a command. Gives it back if the last one was not taken yet, which takes a period.
-pub fn send(command: Command<f32>) -> Result<(), Command<f32>> {
-    COMMAND.put(command)
+/// Gives the drive a command and waits for the answer, which takes a period. Nothing if none comes in four.
+pub fn command(command: Command<f32>) -> Option<Answer> {
+    // One that came too late for its asker.
+    ANSWER.take();
+    COMMAND.put(command).ok()?;
+    (0..64).find_map(|_| {
+        cortex_m::asm::delay(bridge::PERIOD / 16);
+        ANSWER.take()
+    })
 }
 
-/// What the drive reports, if there is something new.
-pub fn report() -> Option<Report> {
-    REPORT.take()
+/// Changes controller or supervisor from the next period on. Gives it back if the last change was not made yet.
+pub fn change(change: Change) -> Result<(), Change> {
+    CHANGE.put(change)
+}
+
+/// What the drive is doing, if that has changed.
+pub fn status() -> Option<Status> {
+    STATUS.take()
+}
+
+/// A period, if one is due.
+pub fn telemetry() -> Option<Telemetry> {
+    TELEMETRY.take()
 }
 
 /// Periods since the start; wraps.
@@ -86,9 +83,9 @@ pub fn periods() -> u32 {
     PERIODS.load(Ordering::Relaxed)
 }
 
-/// Sets how many periods lie between two reports.
-pub fn report_every(periods: u32) {
-    REPORT_PERIODS.store(periods.max(1), Ordering::Relaxed);
+/// Sets how many periods lie between two of [`telemetry`]; zero: there is none.
+pub fn set_telemetry(decimation: u32) {
+    DECIMATION.store(decimation, Ordering::Relaxed);
 }
 
 /// What the interrupt works on.
@@ -97,15 +94,19 @@ struct Control {
     bridge: Bridge,
     encoder: Encoder,
     shunts: Shunts,
-    refused: Option<Refusal>,
-    cycles: Cycles,
-    until_report: u32,
+    /// What was last told.
+    status: Status,
+    /// What the interrupt took (clock cycles), without the core's own entry and exit: the last one, and the longest.
+    cycles: [u32; 2],
+    /// Periods since the last telemetry.
+    since_telemetry: u32,
     /// Whether the last command came too late for its update.
     is_late: bool,
 }
 
 /// Hands everything to the interrupt and enables it.
 pub(super) fn start(supervisor: Supervisor<f32>, bridge: Bridge, encoder: Encoder) {
+    let status = status_of(&supervisor);
     // SAFETY: the interrupt is still masked.
     unsafe {
         CONTROL.hand_over(Control {
@@ -113,9 +114,9 @@ pub(super) fn start(supervisor: Supervisor<f32>, bridge: Bridge, encoder: Encode
             bridge,
             encoder,
             shunts: Shunts::new(analogue::SHUNTS),
-            refused: None,
-            cycles: Cycles::default(),
-            until_report: 1,
+            status,
+            cycles: [0; 2],
+            since_telemetry: 0,
             is_late: false,
         });
     }
@@ -142,9 +143,7 @@ impl Control {
         bridge::take_update();
         let Conversions { legs, bus_voltage, temperature } = analogue::read();
         let Counts { reads, shift, is_in_time } = self.encoder.read();
-        if let Some(command) = COMMAND.take() {
-            self.refused = self.supervisor.command(command).err().or(self.refused);
-        }
+        self.listen();
         let current = self.shunts.read(legs, self.bridge.is_on());
         let conditions = Conditions {
             temperature,
@@ -160,40 +159,85 @@ impl Control {
 
         let period = PERIODS.load(Ordering::Relaxed).wrapping_add(1);
         PERIODS.store(period, Ordering::Relaxed);
-        self.until_report = self.until_report.saturating_sub(1);
-        if self.until_report == 0 {
-            self.report(period, temperature);
+        self.tell(period, output);
+        let [last, longest] = &mut self.cycles;
+        *last = DWT::cycle_count().wrapping_sub(start);
+        *longest = (*longest).max(*last);
+    }
+
+    /// Takes what tasks have for the drive.
+    #[inline]
+    fn listen(&mut self) {
+        if let Some(command) = COMMAND.take() {
+            let result = self.supervisor.command(command);
+            // There is room: who gave the command has emptied it.
+            let _ = ANSWER.put(Answer { result, status: status_of(&self.supervisor) });
         }
-        self.cycles.last = DWT::cycle_count().wrapping_sub(start);
-        self.cycles.longest = self.cycles.longest.max(self.cycles.last);
+        if CHANGE.is_full() {
+            self.change();
+        }
     }
 
     #[cold]
     #[inline(never)]
-    fn report(&mut self, period: u32, temperature: f32) {
+    fn change(&mut self) {
+        match CHANGE.take() {
+            Some(Change::Controller(controller)) => self.supervisor.change_controller(controller),
+            // Armed in the meantime: it is dropped, and the parameters in force stay.
+            Some(Change::Supervisor(_)) if self.supervisor.output() != Output::Off => {}
+            Some(Change::Supervisor(mut supervisor)) => {
+                supervisor.succeed(&self.supervisor);
+                self.supervisor = supervisor;
+            }
+            None => {}
+        }
+    }
+
+    /// Tells tasks what there is to tell.
+    #[inline]
+    fn tell(&mut self, period: u32, output: Output<f32>) {
+        let status = status_of(&self.supervisor);
+        if status != self.status && STATUS.put(status).is_ok() {
+            self.status = status;
+        }
+        self.since_telemetry = self.since_telemetry.saturating_add(1);
+        let decimation = DECIMATION.load(Ordering::Relaxed);
+        if decimation > 0 && self.since_telemetry >= decimation {
+            self.since_telemetry = 0;
+            self.tell_period(period, output);
+        }
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn tell_period(&mut self, period: u32, output: Output<f32>) {
         let drive = self.supervisor.drive();
         let [current, bus_voltage] = drive.current_and_bus();
-        let [reference, speed, voltage, load_torque] = drive.telemetry().map_or([0.0; 4], |law| {
-            [law.reference.speed, law.signals.speed, law.voltage, law.load_torque]
-        });
-        let report = Report {
+        let law = drive.telemetry();
+        let [reference, speed, voltage, load_torque] = match (law, output) {
+            (Some(law), Output::Duty(_)) => {
+                [law.reference.speed, law.signals.speed, law.voltage, law.load_torque]
+            }
+            (Some(law), _) => [0.0, law.signals.speed, 0.0, 0.0],
+            (None, _) => [0.0; 4],
+        };
+        let [interrupt_time, longest_interrupt_time] =
+            self.cycles.map(|cycles| cycles * 100 / (super::CYCLES_PER_MICROSECOND / 10));
+        // If the last one was not taken yet, this one is dropped.
+        let _ = TELEMETRY.put(Telemetry {
             period,
-            mode: self.supervisor.mode(),
-            faults: self.supervisor.faults(),
-            limits: self.supervisor.limits(),
             reference,
             speed,
             current,
             voltage,
-            load_torque,
             bus_voltage,
-            temperature,
-            refused: self.refused,
-            cycles: self.cycles,
-        };
-        if REPORT.put(report).is_ok() {
-            self.refused = None;
-            self.until_report = REPORT_PERIODS.load(Ordering::Relaxed);
-        }
+            load_torque,
+            interrupt_time,
+            longest_interrupt_time,
+        });
     }
+}
+
+fn status_of(supervisor: &Supervisor<f32>) -> Status {
+    Status { mode: supervisor.mode(), faults: supervisor.faults(), limits: supervisor.limits() }
 }

@@ -8,6 +8,8 @@
 //! | `over_current.rs` | comparator to break |
 //! | `encoder.rs` | 16 reads a period by DMA |
 //! | `interrupt.rs` | the control interrupt, and how tasks reach it |
+//! | `link.rs` | the serial port, and who answers there |
+//! | `parameter_flash.rs` | where parameters are saved |
 //! | `safety.rs` | exceptions, panic, watchdog |
 //! | `defaults.rs` | what runs when no parameters are stored |
 //! | `memory.x` | what lies where |
@@ -23,33 +25,40 @@ pub mod bridge;
 pub mod defaults;
 pub mod encoder;
 pub mod interrupt;
+pub mod link;
 mod over_current;
+mod parameter_flash;
 mod pins;
 mod safety;
 
+use crate::config::{ConfigError, require};
+use crate::drive::DriveConfig;
 use crate::fault::Fault;
+use crate::link::session::Device;
+use crate::parameters::Parameters;
+use crate::sense::Sensors;
 use crate::supervisor::Supervisor;
 use bridge::Bridge;
 use embassy_stm32::interrupt::{InterruptExt, Priority};
 use embassy_stm32::rcc::{self, Hse, HseMode, Pll, PllMul, PllPreDiv, PllRDiv, PllSource, Sysclk};
 use embassy_stm32::time::Hertz;
-use embassy_stm32::wdg::IndependentWatchdog;
 use embassy_stm32::{Config, Peri, peripherals};
 use encoder::Encoder;
+use link::{Link, Port};
 
 /// Clock cycles in a microsecond.
 const CYCLES_PER_MICROSECOND: u32 = bridge::CLOCK / 1_000_000;
 
 /// What the tasks get.
 pub struct Board {
-    /// Feed it, but only while [`interrupt::periods`] goes on.
-    pub watchdog: IndependentWatchdog<'static, peripherals::IWDG>,
+    /// Serves the port.
+    pub link: Link,
+    /// The serial port.
+    pub port: Port,
     /// The status LED's pin.
     pub led: Peri<'static, peripherals::PC6>,
     /// The button's pin: low while it is pressed.
     pub button: Peri<'static, peripherals::PC10>,
-    /// Why the drive starts with a fault, if it does.
-    pub fault: Option<Fault>,
     /// Whether the control interrupt runs. If not, the hardware did not start, and outputs stay off for good.
     pub is_running: bool,
 }
@@ -59,8 +68,8 @@ pub fn start() -> Board {
     let p = embassy_stm32::init(config());
     pins::start_unused_leg();
     safety::watch_clock();
-    let was_watchdog = safety::take_watchdog_reset();
-    let watchdog = safety::start_watchdog(p.IWDG);
+    let watchdog_reset = safety::take_watchdog_reset().then_some(Fault::WatchdogReset);
+    safety::start_watchdog(p.IWDG);
     start_cycle_counter();
     over_current::start(p.DAC3, p.COMP1);
     let bridge = Bridge::start(p.TIM1);
@@ -69,20 +78,46 @@ pub fn start() -> Board {
     // The clock of embassy's tasks gives way to the control interrupt.
     embassy_stm32::interrupt::TIM1_BRK_TIM15.set_priority(Priority::P8);
 
-    let watchdog_reset = was_watchdog.then_some(Fault::WatchdogReset);
-    let parameters = Supervisor::new(&defaults::drive(), &defaults::PROTECTION);
-    let (is_running, fault) = match (bridge, is_converting, parameters) {
-        (Some(bridge), true, Ok(mut supervisor)) => {
-            if let Some(fault) = watchdog_reset {
+    let (mut link, bad_parameters) = Link::load(p.FLASH);
+    let supervisor = build(&link.parameters());
+    let is_running = match (bridge, supervisor) {
+        (Some(bridge), Ok(mut supervisor)) if is_converting => {
+            for fault in [watchdog_reset, bad_parameters].into_iter().flatten() {
                 supervisor.latch(fault);
             }
             interrupt::start(supervisor, bridge, encoder);
-            (true, watchdog_reset)
+            true
         }
-        (Some(_), true, Err(_)) => (false, Some(Fault::BadParameters)),
-        _ => (false, Some(Fault::SelfTest)),
+        _ => {
+            link.is_dead(Fault::SelfTest);
+            false
+        }
     };
-    Board { watchdog, led: p.PC6, button: p.PC10, fault, is_running }
+    let port = Port { usart: p.USART2, rx: p.PB4, tx: p.PB3 };
+    Board { link, port, led: p.PC6, button: p.PC10, is_running }
+}
+
+/// Holds the watchdog off. It wants to be fed every 50 ms.
+pub fn feed_watchdog() {
+    safety::feed_watchdog();
+}
+
+/// The supervisor of a set of parameters, for this board. Refuses what the board cannot do.
+fn build(parameters: &Parameters) -> Result<Supervisor<f32>, ConfigError> {
+    let Parameters { drive, protection } = parameters;
+    let DriveConfig { timing, limits, .. } = drive;
+    let is_ours = *timing == defaults::TIMING;
+    require(is_ours, "timing", "must be the board's", timing.rate)?;
+    let has_window = limits.duty <= bridge::HIGHEST_SHARE;
+    require(has_window, "limits.duty", "must leave the low sides' window open", limits.duty)?;
+    if let Sensors::Codes(calibration) = drive.sensors {
+        let zero = f32::from(analogue::SHUNTS.zero());
+        let is_ours =
+            calibration.current_zero == zero && f32::from(calibration.highest_code) == 2.0 * zero;
+        let (field, rule) = ("sensors.current_zero", "and the highest code must be the board's");
+        require(is_ours, field, rule, calibration.current_zero)?;
+    }
+    Supervisor::new(drive, protection)
 }
 
 /// 170 MHz from the board's crystal of 8 MHz.

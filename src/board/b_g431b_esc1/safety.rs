@@ -4,10 +4,11 @@
 //! [`Fault::WatchdogReset`](crate::fault::Fault::WatchdogReset). A core that locks up, a clock that fails and memory errors end the outputs
 //! without any code, by TIM1's break ([`bridge`](super::bridge)).
 
-use super::bridge;
+use super::{bridge, parameter_flash};
 use core::panic::PanicInfo;
 use cortex_m_rt::{ExceptionFrame, exception};
-use embassy_stm32::pac::{DBGMCU, RCC};
+use embassy_stm32::pac::iwdg::vals::Key;
+use embassy_stm32::pac::{DBGMCU, FLASH, IWDG, RCC};
 use embassy_stm32::wdg::IndependentWatchdog;
 use embassy_stm32::{Peri, peripherals};
 
@@ -15,13 +16,14 @@ use embassy_stm32::{Peri, peripherals};
 const WATCHDOG_TIME: u32 = 50_000;
 
 /// Starts the watchdog: from here on it wants to be fed. In a debugger's halt it waits.
-pub(super) fn start_watchdog(
-    watchdog: Peri<'static, peripherals::IWDG>,
-) -> IndependentWatchdog<'static, peripherals::IWDG> {
+pub(super) fn start_watchdog(watchdog: Peri<'static, peripherals::IWDG>) {
     DBGMCU.apb1lfzr().modify(|w| w.set_iwdg(true));
-    let mut watchdog = IndependentWatchdog::new(watchdog, WATCHDOG_TIME);
-    watchdog.unleash();
-    watchdog
+    IndependentWatchdog::new(watchdog, WATCHDOG_TIME).unleash();
+}
+
+/// Holds the watchdog off for another [`WATCHDOG_TIME`].
+pub(super) fn feed_watchdog() {
+    IWDG.kr().write(|w| w.set_key(Key::RESET));
 }
 
 /// Whether the watchdog was what reset the board. Forgotten with the call.
@@ -47,6 +49,18 @@ fn wait_for_watchdog() -> ! {
 unsafe fn HardFault(_frame: &ExceptionFrame) -> ! {
     bridge::off();
     defmt::error!("hard fault");
+    wait_for_watchdog()
+}
+
+/// A clock that failed, or an error in flash that cannot be corrected.
+#[exception]
+unsafe fn NonMaskableInt() {
+    if FLASH.eccr().read().eccd() && parameter_flash::is_reading() {
+        FLASH.eccr().modify(|w| w.set_eccd(true));
+        return;
+    }
+    bridge::off();
+    defmt::error!("clock failure, or an error in flash");
     wait_for_watchdog()
 }
 
