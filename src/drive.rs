@@ -376,6 +376,11 @@ impl<S: Scalar> Drive<S> {
         self.measured
     }
 
+    /// Shaft speed (rad/s) as last known, whether the drive drives or follows.
+    pub fn speed(&self) -> S {
+        if self.driving { self.controller.signals().speed } else { self.idle_speed }
+    }
+
     /// What the last driven period did; nothing before the first.
     #[inline]
     pub fn telemetry(&self) -> Option<Telemetry<S>> {

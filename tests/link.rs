@@ -178,7 +178,7 @@ fn answers(
         assert_eq!(messages.len(), 1, "one frame holds one message");
         match postcard::from_bytes(&messages[0]).expect("a message") {
             Message::Answer { sequence, answer } => each(sequence, answer),
-            Message::Telemetry(_) => panic!("nobody asked"),
+            Message::Telemetry(_) => unreachable!("nobody asked"),
         }
         count += 1;
     }

@@ -230,7 +230,7 @@ fn a_flipped_bit_is_harmless_or_told() {
         match loaded.origin {
             Origin::Saved => assert_eq!(loaded.parameters, numbered(3), "bit {bit}"),
             Origin::Unreadable => assert_eq!(loaded.parameters, parameters(), "bit {bit}"),
-            Origin::NeverSaved => panic!("bit {bit}"),
+            Origin::NeverSaved => unreachable!("bit {bit}"),
         }
         told += usize::from(loaded.origin == Origin::Unreadable);
         store(&mut damaged).save(&numbered(4)).expect("saved over it");
@@ -271,9 +271,11 @@ fn nothing_readable_at_all_is_a_fault() {
 
 #[test]
 fn regions_that_cannot_be_halved_into_pages_are_refused() {
-    for region in [0..0, 0..0x1000, 0..0x1800, 0x400..0x2400, 0x2000..0x1000, 0..0x2001] {
-        let refused = ParameterStore::new(SimulatedFlash::new(), region.clone());
-        assert!(refused.is_err(), "{region:?}");
+    for (start, end) in
+        [(0, 0), (0, 0x1000), (0, 0x1800), (0x400, 0x2400), (0x2000, 0x1000), (0, 0x2001)]
+    {
+        let refused = ParameterStore::new(SimulatedFlash::new(), start..end);
+        assert!(refused.is_err(), "{start:#x} to {end:#x}");
     }
     assert!(ParameterStore::new(SimulatedFlash::new(), 0..0x2000).is_ok());
 }

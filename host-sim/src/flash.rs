@@ -6,6 +6,7 @@ use embedded_storage::nor_flash::{
 };
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
+use std::path::Path;
 
 /// Bytes of a page, which is erased at once.
 const PAGE: usize = 2048;
@@ -88,9 +89,17 @@ impl SimulatedFlash {
         Self::holding(vec![ERASED; Self::SIZE])
     }
 
-    /// With contents.
-    pub fn holding(memory: Vec<u8>) -> Self {
+    fn holding(memory: Vec<u8>) -> Self {
         Self { memory, operations: 0, failure: None, powered: true, worn: None }
+    }
+
+    /// With the contents of a file, which must be all of the flash.
+    pub fn read(file: &Path) -> std::io::Result<Self> {
+        let memory = std::fs::read(file)?;
+        if memory.len() != Self::SIZE {
+            return Err(std::io::Error::other("it is not the contents of a flash of 128 kB"));
+        }
+        Ok(Self::holding(memory))
     }
 
     /// What it holds.

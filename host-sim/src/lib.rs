@@ -12,9 +12,14 @@
 //! - [`frame`]: what is recorded of a period; [`metrics`]: figures of merit of a run;
 //! - [`reproduction`]: the runs that reproduce the paper;
 //! - [`scoreboard`]: every controller on the same sensors, and the search for the best of its kind;
+//! - [`virtual_drive`]: a drive on the simulated board that speaks the firmware's link; [`serve`] puts it behind a socket;
+//! - [`client`]: the host's end of the link; [`connect`] and [`watch`] are its commands, [`assignment`] its names of parameters;
 //! - [`report`]: what they show, as HTML and in the terminal; [`plot`] and [`terminal`] draw its plots and tables.
 
+pub mod assignment;
 pub mod board;
+pub mod client;
+pub mod connect;
 pub mod double;
 pub mod flash;
 pub mod frame;
@@ -30,5 +35,8 @@ mod rule;
 pub mod scenario;
 pub mod scoreboard;
 pub mod sensors;
+pub mod serve;
 pub mod simulation;
 pub mod terminal;
+pub mod virtual_drive;
+pub mod watch;

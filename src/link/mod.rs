@@ -24,3 +24,9 @@ pub mod session;
 
 /// Bits per second on a serial port, with eight data bits, no parity, one stop bit.
 pub const BAUD_RATE: u32 = 921_600;
+
+/// What this was built from: a commit, where the build told by the variable `QUASIDRIVE_BUILD`.
+pub const BUILD: &str = match option_env!("QUASIDRIVE_BUILD") {
+    Some(build) => build,
+    None => "unknown",
+};
