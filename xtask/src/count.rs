@@ -38,7 +38,7 @@ const ESTIMATORS: [&str; 3] =
 /// Builds the firmware, counts and prints; compares with the golden table, or rewrites it.
 pub fn count(cross: &Cross, rewrite: bool) -> Result<()> {
     let compiler = cross.compiler()?;
-    let table = format!("{compiler}\n\n{}", table(&cross.firmware(boards::QEMU.name)?)?);
+    let table = format!("{compiler}\n\n{}", table(&cross.firmware(&boards::QEMU)?)?);
     println!("{table}");
     let golden = root().join(GOLDEN);
     if rewrite {

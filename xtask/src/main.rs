@@ -16,7 +16,7 @@ use anyhow::Result;
 use boards::BOARDS;
 use clap::{Parser, Subcommand};
 use cross::{Cross, ToolchainChoice};
-use shell::{cargo, root};
+use shell::{cargo, program, root};
 use std::process::ExitCode;
 
 /// The project's chores.
@@ -63,6 +63,12 @@ enum Task {
         #[arg(long, default_value = "auto")]
         toolchain: ToolchainChoice,
     },
+    /// Build the B-G431B-ESC1's firmware, flash it by its ST-LINK with probe-rs, and show its log.
+    FlashEsc1 {
+        /// Where the standard library for Cortex-M comes from.
+        #[arg(long, default_value = "auto")]
+        toolchain: ToolchainChoice,
+    },
     /// Redraw the README's plots.
     Plots,
 }
@@ -84,11 +90,13 @@ fn execute(task: Task) -> Result<()> {
         Task::Test { toolchain } => test(toolchain),
         Task::Firmware { toolchain } => {
             let cross = Cross::set_up(toolchain)?;
-            BOARDS
-                .iter()
-                .try_for_each(|board| interrupt::check(board, &cross.firmware(board.name)?))
+            BOARDS.iter().try_for_each(|board| interrupt::check(board, &cross.firmware(board)?))
         }
         Task::Count { toolchain, rewrite } => count::count(&setup::everything(toolchain)?, rewrite),
+        Task::FlashEsc1 { toolchain } => {
+            let elf = Cross::set_up(toolchain)?.firmware(&boards::B_G431B_ESC1)?;
+            program("probe-rs").args(&["run", "--chip", "STM32G431CB"]).args(&[elf]).run()
+        }
         Task::Size { toolchain } => size::size(&Cross::set_up(toolchain)?),
         Task::Plots => host_sim(&["paper", "--plots", "docs"]),
     }
@@ -128,7 +136,7 @@ fn test(toolchain: ToolchainChoice) -> Result<()> {
     cargo(&["clippy", "--workspace", "--all-targets", "--", "--deny", "warnings"]).run()?;
     cargo(&["test", "--workspace"]).run()?;
     for board in &BOARDS {
-        interrupt::check(board, &cross.firmware(board.name)?)?;
+        interrupt::check(board, &cross.firmware(board)?)?;
     }
     size::size(&cross)?;
     processor_in_the_loop()?;

@@ -32,7 +32,7 @@ impl Size {
 pub fn size(cross: &Cross) -> Result<()> {
     println!("{:<16} {:>7} {:>7}   of budget (bytes)", "board", "flash", "RAM");
     for board in &BOARDS {
-        let elf = cross.firmware(board.name)?;
+        let elf = cross.firmware(board)?;
         let data = fs::read(&elf).with_context(|| format!("cannot read {}", elf.display()))?;
         let image = object::File::parse(&*data)?;
         let Size { flash, data } = Size::of(&image);

@@ -30,7 +30,7 @@ const READ_CHANNEL: usize = 0;
 const SHIFT_CHANNEL: usize = 1;
 
 /// Two periods' reads: one that is complete and one that is being filled.
-static COUNTS: [AtomicU16; 2 * READS] = [const { AtomicU16::new(0) }; 2 * READS];
+static COUNTS: [[AtomicU16; READS]; 2] = [const { [const { AtomicU16::new(0) }; READS] }; 2];
 
 /// Compare value of the period after the one that has begun.
 static NEXT_COMPARE: AtomicU16 = AtomicU16::new(LATEST);
@@ -49,7 +49,7 @@ pub struct Encoder {
     shifts: [u8; 2],
     random: u32,
     /// The half of [`COUNTS`] that was read last.
-    last_half: Option<bool>,
+    last: Option<usize>,
 }
 
 /// A period's reads.
@@ -102,7 +102,7 @@ impl Encoder {
             });
         };
         let counts = COUNTS.as_ptr() as u32;
-        let length = COUNTS.len() as u16;
+        let length = 2 * READS as u16;
         channel(READ_CHANNEL, TIM3_CH1, from_timer, counts, length, Dir::FROM_PERIPHERAL, true);
         let next = NEXT_COMPARE.as_ptr() as u32;
         channel(SHIFT_CHANNEL, TIM1_CH4, to_timer, next, 1, Dir::FROM_MEMORY, false);
@@ -123,7 +123,7 @@ impl Encoder {
             w.set_ts(Ts::ITR0);
             w.set_sms(Sms::COMBINED_RESET_TRIGGER);
         });
-        Self { shifts: [0; 2], random: 1, last_half: None }
+        Self { shifts: [0; 2], random: 1, last: None }
     }
 
     /// The reads of the period that has just ended.
@@ -131,15 +131,10 @@ impl Encoder {
     pub fn read(&mut self) -> Counts {
         // What DMA still has to fill: more than a half while it is in the first.
         let is_first_being_filled = usize::from(DMA1.ch(READ_CHANNEL).ndtr().read().ndt()) > READS;
-        let half = !is_first_being_filled;
-        let (first, second) = COUNTS.split_at(READS);
-        let complete = if half { first } else { second };
-        let mut reads = [0; READS];
-        for (read, count) in reads.iter_mut().zip(complete) {
-            *read = count.load(Ordering::Relaxed);
-        }
-        let is_in_time = self.last_half != Some(half);
-        self.last_half = Some(half);
+        let complete = usize::from(is_first_being_filled);
+        let reads = COUNTS[complete].each_ref().map(|count| count.load(Ordering::Relaxed));
+        let is_in_time = self.last != Some(complete);
+        self.last = Some(complete);
 
         // Numerical Recipes' linear congruential generator: its high bits are random enough for this.
         self.random = self.random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
