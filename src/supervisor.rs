@@ -314,8 +314,8 @@ impl<S: Scalar> Supervisor<S> {
     }
 
     /// Another controller, or the same with other gains; see [`Drive::change_controller`].
-    pub fn change_controller(&mut self, controller: ReadyController<S>) {
-        self.drive.change_controller(controller);
+    pub fn change_controller(&mut self, controller: &mut ReadyController<S>) {
+        self.drive.swap_controller(controller);
     }
 
     /// Latches a fault: outputs are off from the next step.
@@ -413,8 +413,9 @@ impl<S: Scalar> Supervisor<S> {
                 self.happens(Event::Charged);
             }
             Mode::Stopping => {
-                let speed = self.drive.telemetry().map_or(S::ZERO, |period| period.signals.speed);
-                if speed.abs() <= self.slow.standstill || self.turns >= self.slow.stop_turns {
+                if self.drive.speed().abs() <= self.slow.standstill
+                    || self.turns >= self.slow.stop_turns
+                {
                     self.happens(Event::Stopped);
                 }
             }

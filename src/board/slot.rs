@@ -48,6 +48,20 @@ impl<T> Slot<T> {
         Some(value)
     }
 
+    /// Uses the value up where it is, if there is one: for one that is too large to be moved about.
+    #[inline]
+    pub fn use_up(&self, user: impl FnOnce(&mut T)) {
+        if self.claim(FULL) {
+            // SAFETY: the state is BUSY, by this call, and was FULL: a value was written. It ends here.
+            unsafe {
+                let value = &mut *self.value.get();
+                user(value.assume_init_mut());
+                value.assume_init_drop();
+            }
+            self.state.store(EMPTY, Ordering::Release);
+        }
+    }
+
     /// Whether there is a value, which is cheaper to ask than to take one.
     #[inline]
     pub fn is_full(&self) -> bool {

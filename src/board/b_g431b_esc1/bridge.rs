@@ -63,6 +63,10 @@ pub const HIGHEST_SHARE: f32 = 1.0 - (2 * (DEAD_TIME + SETTLING)) as f32 / PERIO
 /// Compare value for a twentieth of the period.
 const CHARGE: u16 = TOP - TOP / 20;
 
+/// TIM1_CCER: CC1NE and CC2NE, and with them CC1E and CC2E.
+const LOW_SIDES: CcerAdv = CcerAdv(1 << 2 | 1 << 6);
+const BOTH_SIDES: CcerAdv = CcerAdv(LOW_SIDES.0 | 1 << 0 | 1 << 4);
+
 const U: usize = 0;
 const V: usize = 1;
 /// The channel that triggers the converters.
@@ -79,15 +83,6 @@ pub struct Bridge {
 fn compare(share: f32) -> u32 {
     // From the top down. `as` takes what rounding left below zero for zero.
     u32::from(TOP) + 1 - (share * f32::from(TOP) + 0.5) as u32
-}
-
-fn outputs(high_sides: bool) -> CcerAdv {
-    let mut outputs = CcerAdv(0);
-    for leg in [U, V] {
-        outputs.set_cce(leg, high_sides);
-        outputs.set_ccne(leg, true);
-    }
-    outputs
 }
 
 /// Ends every output now: the main output enable is cleared, and the pins are low without the core.
@@ -141,7 +136,7 @@ impl Bridge {
         TIM1.ccmr_output(1).modify(|w| w.set_ocm(SAMPLE - 2, Ocm::PWM_MODE1));
         TIM1.ccr(SAMPLE).write(|w| w.set_ccr(SAMPLE_BEFORE));
         TIM1.dier().write(|w| w.set_ccde(SAMPLE, true));
-        TIM1.ccer().write_value(outputs(false));
+        TIM1.ccer().write_value(LOW_SIDES);
         TIM1.rcr().write(|w| w.set_rep(1));
         TIM1.egr().write(|w| w.set_ug(true));
         TIM1.cr1().modify(|w| w.set_cen(true));
@@ -149,7 +144,7 @@ impl Bridge {
             return None;
         }
         pins::start_bridge();
-        Some(Self { is_on: false, next: outputs(false) })
+        Some(Self { is_on: false, next: LOW_SIDES })
     }
 
     /// Whether the hardware has ended the outputs although they were to be on.
@@ -171,7 +166,7 @@ impl Bridge {
             Output::Off => {
                 off();
                 self.is_on = false;
-                self.next = outputs(false);
+                self.next = LOW_SIDES;
                 [CHARGE.into(); 2]
             }
             Output::Charge => [CHARGE.into(); 2],
@@ -181,7 +176,7 @@ impl Bridge {
         TIM1.ccr(V).write(|w| w.set_ccr(legs[V] as u16));
         TIM1.ccer().write_value(self.next);
         if let Output::Duty(_) = output {
-            self.next = outputs(true);
+            self.next = BOTH_SIDES;
         }
         if !self.is_on && output != Output::Off {
             self.is_on = true;

@@ -181,16 +181,15 @@ impl Control {
     #[cold]
     #[inline(never)]
     fn change(&mut self) {
-        match CHANGE.take() {
-            Some(Change::Controller(controller)) => self.supervisor.change_controller(controller),
-            // Armed in the meantime: it is dropped, and the parameters in force stay.
-            Some(Change::Supervisor(_)) if self.supervisor.output() != Output::Off => {}
-            Some(Change::Supervisor(mut supervisor)) => {
+        CHANGE.use_up(|change| match change {
+            Change::Controller(controller) => self.supervisor.change_controller(controller),
+            Change::Supervisor(supervisor) if self.supervisor.output() == Output::Off => {
                 supervisor.succeed(&self.supervisor);
-                self.supervisor = supervisor;
+                core::mem::swap(&mut self.supervisor, supervisor);
             }
-            None => {}
-        }
+            // Armed in the meantime: the parameters in force stay.
+            Change::Supervisor(_) => {}
+        });
     }
 
     /// Tells tasks what there is to tell.
@@ -213,13 +212,9 @@ impl Control {
     fn tell_period(&mut self, period: u32, output: Output<f32>) {
         let drive = self.supervisor.drive();
         let [current, bus_voltage] = drive.current_and_bus();
-        let law = drive.telemetry();
-        let [reference, speed, voltage, load_torque] = match (law, output) {
-            (Some(law), Output::Duty(_)) => {
-                [law.reference.speed, law.signals.speed, law.voltage, law.load_torque]
-            }
-            (Some(law), _) => [0.0, law.signals.speed, 0.0, 0.0],
-            (None, _) => [0.0; 4],
+        let [reference, voltage, load_torque] = match (drive.telemetry(), output) {
+            (Some(law), Output::Duty(_)) => [law.reference.speed, law.voltage, law.load_torque],
+            _ => [0.0; 3],
         };
         let [interrupt_time, longest_interrupt_time] =
             self.cycles.map(|cycles| cycles * 100 / (super::CYCLES_PER_MICROSECOND / 10));
@@ -227,7 +222,7 @@ impl Control {
         let _ = TELEMETRY.put(Telemetry {
             period,
             reference,
-            speed,
+            speed: drive.speed(),
             current,
             voltage,
             bus_voltage,
