@@ -412,12 +412,11 @@ impl<S: Scalar> Supervisor<S> {
             Mode::Armed if self.turns >= self.slow.charge_turns => {
                 self.happens(Event::Charged);
             }
-            Mode::Stopping => {
+            Mode::Stopping
                 if self.drive.speed().abs() <= self.slow.standstill
-                    || self.turns >= self.slow.stop_turns
-                {
-                    self.happens(Event::Stopped);
-                }
+                    || self.turns >= self.slow.stop_turns =>
+            {
+                self.happens(Event::Stopped);
             }
             _ => {}
         }

@@ -137,7 +137,7 @@ impl Bench {
                 let _ = self.command(Command::KeepAlive);
             }
         }
-        panic!("no {fault}, but {:?}", self.supervisor.faults());
+        unreachable!("no {fault}, but {:?}", self.supervisor.faults());
     }
 }
 

@@ -24,16 +24,16 @@ impl<T> Slot<T> {
         Self { state: AtomicU8::new(EMPTY), value: UnsafeCell::new(MaybeUninit::uninit()) }
     }
 
-    /// Puts a value in; gives it back if there is one.
+    /// Puts a value in, unless there is one; tells whether it did.
     #[inline]
-    pub fn put(&self, value: T) -> Result<(), T> {
-        if !self.claim(EMPTY) {
-            return Err(value);
+    pub fn put(&self, value: T) -> bool {
+        let is_ours = self.claim(EMPTY);
+        if is_ours {
+            // SAFETY: the state is BUSY, by this call.
+            unsafe { (*self.value.get()).write(value) };
+            self.state.store(FULL, Ordering::Release);
         }
-        // SAFETY: the state is BUSY, by this call.
-        unsafe { (*self.value.get()).write(value) };
-        self.state.store(FULL, Ordering::Release);
-        Ok(())
+        is_ours
     }
 
     /// Takes the value out, if there is one.

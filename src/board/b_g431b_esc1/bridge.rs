@@ -246,4 +246,4 @@ const fn dead_time_code(ticks: u16) -> u8 {
     }
 }
 
-const _: () = assert!(DEAD_TIME < 254 && PERIOD % 16 == 0);
+const _: () = assert!(DEAD_TIME < 254 && PERIOD.is_multiple_of(16));

@@ -56,15 +56,18 @@ static DECIMATION: AtomicU32 = AtomicU32::new(0);
 pub fn command(command: Command<f32>) -> Option<Answer> {
     // One that came too late for its asker.
     ANSWER.take();
-    COMMAND.put(command).ok()?;
+    if !COMMAND.put(command) {
+        return None;
+    }
     (0..64).find_map(|_| {
         cortex_m::asm::delay(bridge::PERIOD / 16);
         ANSWER.take()
     })
 }
 
-/// Changes controller or supervisor from the next period on. Gives it back if the last change was not made yet.
-pub fn change(change: Change) -> Result<(), Change> {
+/// Changes controller or supervisor from the next period on. Tells whether there was room: not before the last
+/// change was made.
+pub fn change(change: Change) -> bool {
     CHANGE.put(change)
 }
 
@@ -171,7 +174,7 @@ impl Control {
         if let Some(command) = COMMAND.take() {
             let result = self.supervisor.command(command);
             // There is room: who gave the command has emptied it.
-            let _ = ANSWER.put(Answer { result, status: status_of(&self.supervisor) });
+            ANSWER.put(Answer { result, status: status_of(&self.supervisor) });
         }
         if CHANGE.is_full() {
             self.change();
@@ -196,7 +199,7 @@ impl Control {
     #[inline]
     fn tell(&mut self, period: u32, output: Output<f32>) {
         let status = status_of(&self.supervisor);
-        if status != self.status && STATUS.put(status).is_ok() {
+        if status != self.status && STATUS.put(status) {
             self.status = status;
         }
         self.since_telemetry = self.since_telemetry.saturating_add(1);
@@ -219,7 +222,7 @@ impl Control {
         let [interrupt_time, longest_interrupt_time] =
             self.cycles.map(|cycles| cycles * 100 / (super::CYCLES_PER_MICROSECOND / 10));
         // If the last one was not taken yet, this one is dropped.
-        let _ = TELEMETRY.put(Telemetry {
+        TELEMETRY.put(Telemetry {
             period,
             reference,
             speed: drive.speed(),

@@ -3,6 +3,7 @@
 //! Bytes come and go by the port's interrupt, which the control interrupt precedes; everything else is a task. A flood of bytes takes time
 //! from tasks only.
 
+use super::interrupt::Change;
 use super::parameter_flash::{ParameterFlash, REGION};
 use super::{build, defaults, interrupt};
 use crate::control::ControlConfig;
@@ -103,6 +104,10 @@ impl Link {
     }
 }
 
+fn change(change: Change) -> Result<(), Refusal<'static>> {
+    if interrupt::change(change) { Ok(()) } else { Err(Refusal::Busy) }
+}
+
 impl Device for Link {
     fn identity(&self) -> Identity<'static> {
         Identity {
@@ -130,15 +135,14 @@ impl Device for Link {
 
     fn change_controller(&mut self, control: &ControlConfig) -> Result<(), Refusal<'static>> {
         let drive = DriveConfig { control: *control, ..self.parameters.drive };
-        interrupt::change(interrupt::Change::Controller(ReadyController::new(&drive)?))
-            .map_err(|_| Refusal::Busy)?;
+        change(Change::Controller(ReadyController::new(&drive)?))?;
         self.parameters.drive = drive;
         Ok(())
     }
 
     fn write_parameters(&mut self, parameters: &Parameters) -> Result<(), Refusal<'static>> {
         let supervisor: Supervisor<f32> = build(parameters)?;
-        interrupt::change(interrupt::Change::Supervisor(supervisor)).map_err(|_| Refusal::Busy)?;
+        change(Change::Supervisor(supervisor))?;
         self.parameters = *parameters;
         Ok(())
     }
