@@ -195,13 +195,18 @@ impl<S: Scalar> Drive<S> {
 
     /// Another controller, or the same with other gains, from the next step on. In the middle of a run it takes over without
     /// a jump: it starts from the speed that was known, the current that there is, and the voltage that acts.
-    pub fn change_controller(&mut self, ReadyController(controller): ReadyController<S>) {
+    pub fn change_controller(&mut self, mut controller: ReadyController<S>) {
+        self.swap_controller(&mut controller);
+    }
+
+    /// The same without moving it, which takes less stack. The one that ran until now is left in its place.
+    pub fn swap_controller(&mut self, ReadyController(controller): &mut ReadyController<S>) {
         self.changed |= self.driving;
         if self.driving {
             self.idle_speed = self.controller.signals().speed;
             self.driving = false;
         }
-        self.controller = controller;
+        core::mem::swap(&mut self.controller, controller);
         self.controller.know(self.idle_speed);
     }
 

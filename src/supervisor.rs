@@ -288,6 +288,14 @@ impl<S: Scalar> Supervisor<S> {
         })
     }
 
+    /// Takes the place of another supervisor, with outputs off: the motor is as hot as it was, and its faults are still there.
+    pub fn succeed(&mut self, before: &Self) {
+        self.slow.heat = before.slow.heat;
+        for fault in before.faults.iter() {
+            self.latch(fault);
+        }
+    }
+
     /// Takes a command, from the next step on.
     pub fn command(&mut self, command: Command<S>) -> Result<(), Refusal> {
         let refused = Err(Refusal::Mode(self.mode));
@@ -306,8 +314,8 @@ impl<S: Scalar> Supervisor<S> {
     }
 
     /// Another controller, or the same with other gains; see [`Drive::change_controller`].
-    pub fn change_controller(&mut self, controller: ReadyController<S>) {
-        self.drive.change_controller(controller);
+    pub fn change_controller(&mut self, controller: &mut ReadyController<S>) {
+        self.drive.swap_controller(controller);
     }
 
     /// Latches a fault: outputs are off from the next step.
@@ -324,7 +332,8 @@ impl<S: Scalar> Supervisor<S> {
         if conditions.tripped {
             self.latch(Fault::HardwareTrip);
         }
-        if conditions.overrun {
+        // With outputs off nothing depends on time, and the flash may be busy.
+        if conditions.overrun && self.output != Output::Off {
             self.latch(Fault::Overrun);
         }
         if conditions.current_sensors == CurrentSensors::Disagree {
@@ -403,11 +412,11 @@ impl<S: Scalar> Supervisor<S> {
             Mode::Armed if self.turns >= self.slow.charge_turns => {
                 self.happens(Event::Charged);
             }
-            Mode::Stopping => {
-                let speed = self.drive.telemetry().map_or(S::ZERO, |period| period.signals.speed);
-                if speed.abs() <= self.slow.standstill || self.turns >= self.slow.stop_turns {
-                    self.happens(Event::Stopped);
-                }
+            Mode::Stopping
+                if self.drive.speed().abs() <= self.slow.standstill
+                    || self.turns >= self.slow.stop_turns =>
+            {
+                self.happens(Event::Stopped);
             }
             _ => {}
         }

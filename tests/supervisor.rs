@@ -137,7 +137,7 @@ impl Bench {
                 let _ = self.command(Command::KeepAlive);
             }
         }
-        panic!("no {fault}, but {:?}", self.supervisor.faults());
+        unreachable!("no {fault}, but {:?}", self.supervisor.faults());
     }
 }
 
@@ -417,6 +417,26 @@ fn limits_are_shown_while_they_are_active() {
 }
 
 #[test]
+fn an_overrun_with_outputs_off_is_no_fault() {
+    let mut bench = Bench::reached(Mode::Ready);
+    bench.conditions.overrun = true;
+    bench.play(A_TURN);
+    assert_eq!(bench.supervisor.mode(), Mode::Ready);
+}
+
+#[test]
+fn heat_and_faults_outlive_a_change_of_parameters() {
+    let mut bench = Bench::reached(Mode::Running);
+    bench.sample.current = 10.0;
+    bench.time_to(Fault::Overload);
+    let mut next = Bench::new();
+    next.supervisor.succeed(&bench.supervisor);
+    assert_eq!(next.supervisor.mode(), Mode::Faulted);
+    next.command(Command::Clear).expect("a fault");
+    assert_eq!(next.time_to(Fault::Overload), (A_TURN - 1) as f32 / RATE);
+}
+
+#[test]
 fn a_fault_from_the_start_needs_to_be_cleared() {
     for fault in [Fault::WatchdogReset, Fault::BadParameters, Fault::SelfTest] {
         let mut bench = Bench::new();
@@ -536,11 +556,12 @@ proptest! {
                 }
                 Happening::Periods(periods, sample, conditions) => {
                     for _ in 0..periods {
+                        let was_on = supervisor.output() != Output::Off;
                         let output = supervisor.step(&sample, &conditions);
                         if conditions.tripped {
                             latched.latch(Fault::HardwareTrip);
                         }
-                        if conditions.overrun {
+                        if conditions.overrun && was_on {
                             latched.latch(Fault::Overrun);
                         }
                         let faults = supervisor.faults();

@@ -176,7 +176,7 @@ impl Device for VirtualDrive {
 
     fn change_controller(&mut self, control: &ControlConfig) -> Result<(), Refusal<'static>> {
         let drive = DriveConfig { control: *control, ..self.parameters.drive };
-        self.supervisor.change_controller(ReadyController::new(&drive)?);
+        self.supervisor.change_controller(&mut ReadyController::new(&drive)?);
         self.parameters.drive = drive;
         Ok(())
     }

@@ -7,13 +7,13 @@
 //! boards have the same. Used here: UART0, TIMER0, the NVIC.
 #![allow(unsafe_code, reason = "memory-mapped registers")]
 
+use super::handed_over::HandedOver;
 use crate::drive::{Drive, DriveConfig};
 use crate::hal::{Board, BridgeCommand, Sample};
 use crate::protocol::{
     MAGIC, Question, Record, Setup, VERSION, Verdict, codes_from_words, exact_from_words,
 };
 use crate::sense::Sensors;
-use core::cell::UnsafeCell;
 use cortex_m::peripheral::NVIC;
 use cortex_m_rt::exception;
 
@@ -168,13 +168,7 @@ impl Loop {
     }
 }
 
-/// State that is handed to the interrupt once, before the interrupt is enabled, and is the interrupt's alone from then on.
-struct HandedOver(UnsafeCell<Option<Loop>>);
-
-// SAFETY: written only before the interrupt is enabled, used only by the interrupt afterwards; see `run`.
-unsafe impl Sync for HandedOver {}
-
-static LOOP: HandedOver = HandedOver(UnsafeCell::new(None));
+static LOOP: HandedOver<Loop> = HandedOver::new();
 
 /// A hundred instructions in a straight line, to show that a count of instructions misses none.
 #[inline(never)]
@@ -196,7 +190,7 @@ pub fn run() -> ! {
     let pacer = Pacer::new(config.timing.rate);
     pacer.start();
     // SAFETY: the timer's interrupt, the only other user, is still masked.
-    unsafe { *LOOP.0.get() = Some(Loop { drive, sensors: config.sensors, serial, pacer, record }) };
+    unsafe { LOOP.hand_over(Loop { drive, sensors: config.sensors, serial, pacer, record }) };
     enable_interrupt();
     loop {
         cortex_m::asm::wfi();
@@ -267,8 +261,8 @@ fn enable_interrupt() {
 
 /// The PWM-rate interrupt.
 extern "C" fn timer0() {
-    // SAFETY: since the interrupt is enabled, it is the only user, and it does not nest.
-    if let Some(control_loop) = unsafe { &mut *LOOP.0.get() } {
+    // SAFETY: this is the interrupt's handler.
+    if let Some(control_loop) = unsafe { LOOP.state() } {
         control_loop.pacer.start();
         control_loop.period();
     }

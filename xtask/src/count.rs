@@ -6,14 +6,16 @@
 //! counts as one. A function of known length shows that none is missed. Cycles are a model's ([`crate::cycles`]), for the
 //! Cortex-M4F only: a Cortex-M7 runs two instructions at a time, which no table tells.
 
+use crate::boards;
 use crate::cross::Cross;
 use crate::cycles::cycles;
 use crate::debug_info::DebugInfo;
 use crate::interrupt;
 use crate::shell::{cargo, root};
+use crate::size::Size;
 use crate::thumb::{Code, Meaning};
 use anyhow::{Context, Result, bail, ensure};
-use object::{Object, ObjectSection, ObjectSymbol, SectionKind, SymbolKind};
+use object::{Object, ObjectSymbol, SymbolKind};
 use std::collections::BTreeSet;
 use std::fmt::Write;
 use std::fs::{self, File};
@@ -36,7 +38,7 @@ const ESTIMATORS: [&str; 3] =
 /// Builds the firmware, counts and prints; compares with the golden table, or rewrites it.
 pub fn count(cross: &Cross, rewrite: bool) -> Result<()> {
     let compiler = cross.compiler()?;
-    let table = format!("{compiler}\n\n{}", table(&cross.firmware("qemu")?)?);
+    let table = format!("{compiler}\n\n{}", table(&cross.firmware(&boards::QEMU)?)?);
     println!("{table}");
     let golden = root().join(GOLDEN);
     if rewrite {
@@ -116,7 +118,7 @@ fn table(elf: &Path) -> Result<String> {
     }
     writeln!(table, "\nbytes")?;
     let state = ("control core, state: Drive<f32>", debug_info.size_of("Drive<f32>")?);
-    let stack = ("control interrupt, stack", interrupt::reach(&code)?.stack);
+    let stack = ("control interrupt, stack", interrupt::reach(&code, &boards::QEMU)?.stack);
     for (name, bytes) in sizes(&image).into_iter().chain([state, stack]) {
         writeln!(table, "{name:<43} {bytes:>5}")?;
     }
@@ -169,22 +171,14 @@ fn function(image: &object::File, part: &str, name: &str) -> Result<Range<u64>> 
 
 /// Flash and RAM of the image, and the code of the control core in it.
 fn sizes(image: &object::File) -> [(&'static str, u64); 3] {
-    let sum = |kinds: &[SectionKind]| {
-        let sections = image.sections().filter(|section| kinds.contains(&section.kind()));
-        sections.map(|section| section.size()).sum()
-    };
-    use SectionKind::{Data, ReadOnlyData, ReadOnlyString, Text, UninitializedData};
+    let Size { flash, data } = Size::of(image);
     let is_core = |symbol: &object::Symbol| {
         let name = symbol.name().unwrap_or_default();
         let is_ours = name.starts_with("_ZN10quasidrive");
         symbol.is_definition() && is_ours && !name.contains("5board") && symbol.size() > 0
     };
     let core = image.symbols().filter(|symbol| is_core(symbol)).map(|symbol| symbol.size()).sum();
-    [
-        ("image, flash", sum(&[Text, ReadOnlyData, ReadOnlyString, Data])),
-        ("image, RAM without stack", sum(&[Data, UninitializedData])),
-        ("control core, code", core),
-    ]
+    [("image, flash", flash), ("image, RAM without stack", data), ("control core, code", core)]
 }
 
 /// What a call or an instruction costs.

@@ -1,5 +1,6 @@
 //! Building for Cortex-M, with the standard library from rustup or from Debian.
 
+use crate::boards::Board;
 use crate::packages::install;
 use crate::shell::{Shell, cargo, program, root};
 use anyhow::{Context, Result, bail};
@@ -54,15 +55,16 @@ impl Cross {
     }
 
     /// Builds a board's firmware; gives its ELF, at `target/firmware/<board>.elf`.
-    pub fn firmware(&self, board: &str) -> Result<PathBuf> {
+    pub fn firmware(&self, board: &Board) -> Result<PathBuf> {
+        let Board { name, profile, .. } = board;
         self.cargo()
-            .args(&["build", "--target", TARGET, "--profile", "firmware"])
-            .args(&["--package", "quasidrive", "--bin", board, "--features", board])
+            .args(&["build", "--target", TARGET, "--profile", profile])
+            .args(&["--package", "quasidrive", "--bin", name, "--features", name])
             // Without it all but errors are compiled out.
             .env("DEFMT_LOG", "info")
             .run()?;
-        let built = self.target_dir().join(TARGET).join("firmware").join(board);
-        let elf = root().join(format!("target/firmware/{board}.elf"));
+        let built = self.target_dir().join(TARGET).join(profile).join(name);
+        let elf = root().join(format!("target/firmware/{name}.elf"));
         fs::create_dir_all(elf.with_file_name(""))?;
         fs::copy(&built, &elf).with_context(|| format!("no {}", built.display()))?;
         Ok(elf)
