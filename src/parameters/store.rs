@@ -17,10 +17,10 @@
 
 use super::Parameters;
 use super::named::{Error, Value};
+use crate::checksum::CRC_32;
 use core::cmp::Reverse;
 use core::fmt;
 use core::ops::Range;
-use crc::{CRC_32_ISO_HDLC, Crc};
 use embassy_futures::block_on;
 use embedded_storage::nor_flash::NorFlash;
 use embedded_storage_async::nor_flash as nonblocking;
@@ -42,8 +42,6 @@ const LARGEST_VALUE: usize = 40;
 /// Keys of a half's map.
 const SET: u8 = 0;
 const COMMITTED: u8 = 1;
-
-static NAMES: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
 /// Where a flash keeps parameters.
 #[derive(Debug)]
@@ -289,7 +287,7 @@ fn decode(set: &[u8], defaults: &Parameters) -> Option<Parameters> {
 
 /// What a parameter's record is found by.
 fn key(path: &str) -> u32 {
-    NAMES.checksum(path.as_bytes())
+    CRC_32.checksum(path.as_bytes())
 }
 
 /// Records of a set: a key, the length of a value, the value.
