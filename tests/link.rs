@@ -355,6 +355,13 @@ fn faults_have_their_numbers_on_the_line() {
     assert_eq!(sent, [6, 0x80, 0x80, 0x01, 0]);
 }
 
+#[test]
+fn nothing_is_no_message() {
+    // A checksum of zero over nothing, stuffed.
+    assert_eq!(decode(&mut Decoder::new(), &[1, 1, 1, 1, 1, 0]), Vec::<Vec<u8>>::new());
+    assert_eq!(decode(&mut Decoder::new(), &[0; 9]), Vec::<Vec<u8>>::new());
+}
+
 fn any_request() -> impl Strategy<Value = Request> {
     let number = any::<f32>();
     prop_oneof![

@@ -7,8 +7,8 @@
 //! controller ever sees another one's gains.
 //!
 //! The region has two halves of at least two pages, each a map of its own, and a save goes to the half that the newest set is
-//! not in. One map would do in theory. But an interrupted erase can leave a page that still looks full, and to repair such a
-//! map its crate erases the page beside it, with the only copy.
+//! not in. One map would do if erases were never interrupted. What an interrupted erase leaves need not look erased, and what the
+//! crate does to repair such a map can erase the page beside it, with the only copy (played in `tests/parameters.rs`).
 //!
 //! After a set, its generation is stored as *committed*. A set that is older than that was damaged, not interrupted: the two
 //! would look the same otherwise, since damaged items are skipped.
@@ -27,8 +27,8 @@ use embedded_storage_async::nor_flash as nonblocking;
 use sequential_storage::cache::{Cache, Uncached};
 use sequential_storage::map::{MapConfig, MapStorage};
 
-/// Largest set, in bytes.
-const LARGEST: usize = 1024;
+/// Largest set, in bytes. Today's take up to 484: a later firmware's may have half as many parameters more and still be read.
+const LARGEST: usize = 768;
 
 /// Format of a set: what stands ahead of its records, and what a record is.
 const FORMAT: u8 = 1;
