@@ -94,6 +94,7 @@
 
 #[cfg(target_os = "none")]
 pub mod board;
+mod checksum;
 pub mod config;
 pub mod control;
 pub mod drive;

@@ -477,5 +477,8 @@ fn an_overlong_frame_costs_no_memory_and_harms_no_other() {
         assert_eq!(decode(&mut decoder, &overlong), Vec::<Vec<u8>>::new());
         let whole = frame(5, Request::Status);
         assert_eq!(decode(&mut decoder, &whole).len(), 1, "{length}");
+        // Its end is no frame either, whatever it looks like.
+        assert_eq!(decode(&mut decoder, &overlong), Vec::<Vec<u8>>::new());
+        assert_eq!(decode(&mut decoder, &whole[1..]).len(), 0, "{length}");
     }
 }

@@ -183,9 +183,7 @@ impl Device for VirtualDrive {
 
     fn write_parameters(&mut self, parameters: &Parameters) -> Result<(), Refusal<'static>> {
         let mut supervisor = build(parameters, &self.parameters.drive.timing)?;
-        for fault in self.supervisor.faults().iter() {
-            supervisor.latch(fault);
-        }
+        supervisor.succeed(&self.supervisor);
         self.supervisor = supervisor;
         self.parameters = *parameters;
         Ok(())

@@ -29,7 +29,8 @@ const SHOWN: f64 = 5.0;
 /// What an arrow key changes of the commanded speed, as a share of limits.speed.
 const SPEED_STEP: f32 = 0.05;
 
-const KEYS: &str = "a arm   ↑ ↓ speed   0 zero   s stop   d disarm   c clear faults   q quit: the drive then stops, unheard";
+const KEYS: &str =
+    "a arm   ↑ ↓ speed   0 zero   s stop   d disarm   c clear faults   q stop and quit";
 
 /// How to watch.
 #[derive(Args)]
@@ -181,7 +182,7 @@ fn show(
             if let Event::Key(key) = event::read()?
                 && key.kind != KeyEventKind::Release
             {
-                let Some(command) = command(key.code, view) else { return Ok(()) };
+                let Some(command) = command(key.code, view) else { return stop(client) };
                 match client.command(command) {
                     Err(ClientError::Refused(reason)) => view.refusal = reason,
                     done => {
@@ -195,11 +196,20 @@ fn show(
     Ok(())
 }
 
+/// Stops the motor, if it is driven.
+fn stop(client: &mut Client) -> Result<()> {
+    match client.command(Command::Stop) {
+        Ok(()) | Err(ClientError::Refused(_)) => Ok(()),
+        Err(error) => Err(error.into()),
+    }
+}
+
 /// The command of a key; none to quit.
 fn command(key: KeyCode, view: &mut View) -> Option<Command<f32>> {
     let step = SPEED_STEP * view.fastest;
     Some(match key {
         KeyCode::Char('q') | KeyCode::Esc => return None,
+        // An armed drive begins with a commanded speed of zero.
         KeyCode::Char('a') => {
             view.target = 0.0;
             Command::Arm
@@ -289,4 +299,87 @@ fn plot(frame: &mut Frame, area: Rect, view: &View, unit: &'static str, curves: 
         .x_axis(Axis::default().bounds([end - SHOWN, end]))
         .y_axis(Axis::default().bounds(bounds).labels(bounds.map(label)));
     frame.render_widget(chart, area);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use quasidrive::fault::{ActiveLimits, Fault, Faults};
+    use quasidrive::supervisor::Mode;
+    use ratatui::Terminal;
+    use ratatui::backend::TestBackend;
+
+    fn view(mode: Mode) -> View {
+        View {
+            identity: "a board".to_owned(),
+            status: Status { mode, faults: Faults::NONE, limits: ActiveLimits::NONE },
+            rate: 20_000.0,
+            fastest: 300.0,
+            target: 0.0,
+            refusal: String::new(),
+            past: VecDeque::new(),
+            periods: 0,
+        }
+    }
+
+    fn screen(view: &View) -> String {
+        let mut terminal = Terminal::new(TestBackend::new(120, 40)).expect("a terminal");
+        terminal.draw(|frame| draw(frame, view)).expect("drawn");
+        terminal.backend().to_string()
+    }
+
+    #[test]
+    fn the_screen_shows_status_numbers_and_curves() {
+        let mut running = view(Mode::Running);
+        let empty = screen(&running);
+        assert!(empty.contains("mode Running, faults: none") && empty.contains("rad/s"), "{empty}");
+        let dots =
+            |screen: &str| screen.chars().filter(|c| ('\u{2801}'..='\u{28ff}').contains(c)).count();
+        assert_eq!(dots(&empty), 0);
+        for period in 0..=200 {
+            let speed = period as f32;
+            running.add(Telemetry {
+                period: 100 * period,
+                speed,
+                current: -1.25,
+                ..Default::default()
+            });
+        }
+        let full = screen(&running);
+        assert!(full.contains("speed 200.00 rad/s   current -1.25 A"), "{full}");
+        assert!(full.contains("210.0"), "the axis has room for the speed: {full}");
+        assert!(dots(&full) > 50, "{full}");
+        let mut faulted = view(Mode::Faulted);
+        faulted.status.faults.latch(Fault::Overcurrent);
+        faulted.refusal = "not while the drive is in mode Faulted".to_owned();
+        let screen = screen(&faulted);
+        assert!(screen.contains("mode Faulted, faults: 2 over-current"), "{screen}");
+        assert!(screen.contains("not while the drive is in mode Faulted"), "{screen}");
+    }
+
+    #[test]
+    fn time_goes_on_where_the_count_of_periods_wraps() {
+        let mut view = view(Mode::Running);
+        let at = |period| Telemetry { period, ..Default::default() };
+        assert_eq!(view.add(at(u32::MAX - 9_999)), 0.0);
+        assert_eq!(view.add(at(10_000)), 1.0);
+        assert_eq!(view.add(at(110_000)), 6.0);
+        assert_eq!(view.past.len(), 2, "what is older than the plot is forgotten");
+    }
+
+    #[test]
+    fn keys_command_within_the_limits() {
+        let mut view = view(Mode::Running);
+        assert_eq!(command(KeyCode::Up, &mut view), Some(Command::Speed(15.0)));
+        assert_eq!(command(KeyCode::Down, &mut view), Some(Command::Speed(0.0)));
+        for _ in 0..30 {
+            command(KeyCode::Down, &mut view);
+        }
+        assert_eq!(command(KeyCode::Down, &mut view), Some(Command::Speed(-300.0)));
+        assert_eq!(command(KeyCode::Char('a'), &mut view), Some(Command::Arm));
+        assert_eq!(command(KeyCode::Up, &mut view), Some(Command::Speed(15.0)), "from zero again");
+        assert_eq!(command(KeyCode::Char('0'), &mut view), Some(Command::Speed(0.0)));
+        assert_eq!(command(KeyCode::Char(' '), &mut view), Some(Command::Off));
+        assert_eq!(command(KeyCode::Char('q'), &mut view), None);
+    }
 }

@@ -340,3 +340,50 @@ fn what_is_no_drive_is_an_error() {
     }
     talker.join().expect("ended");
 }
+
+/// A pair of pseudo-terminals is a serial cable with both ends on this computer.
+#[cfg(unix)]
+#[test]
+fn a_serial_port_carries_the_same() {
+    use host_sim::flash::SimulatedFlash;
+    use host_sim::scenario::Scenario;
+    use host_sim::virtual_drive::VirtualDrive;
+    use quasidrive::link::session::Session;
+    use serialport::{SerialPort, TTYPort};
+
+    let (mut drives_end, hosts_end) = TTYPort::pair().expect("pseudo-terminals");
+    let name = hosts_end.name().expect("a name");
+    // The host opens it anew.
+    drop(hosts_end);
+    drives_end.set_timeout(Duration::from_millis(1)).expect("a timeout");
+    let scenario = Scenario::read(&scenario()).expect("shipped");
+    let mut drive = VirtualDrive::new(&scenario, SimulatedFlash::new()).expect("valid");
+    let host = std::thread::spawn(move || {
+        let mut client = Client::open(&name).expect("a drive");
+        wait_for(&mut client, Mode::Ready);
+        client.command(DriveCommand::Arm).expect("ready");
+        wait_for(&mut client, Mode::Running);
+        client.have_done(Request::SetTelemetry(20)).expect("done");
+        client.command(DriveCommand::Speed(50.0)).expect("within the limits");
+        let start = Instant::now();
+        while client.telemetry().expect("some").iter().all(|telemetry| telemetry.speed < 49.0) {
+            client.command(DriveCommand::KeepAlive).expect("answers");
+            assert!(start.elapsed() < Duration::from_secs(20), "does not turn");
+        }
+    });
+    let mut session = Session::default();
+    let mut byte = [0];
+    while !host.is_finished() {
+        (0..20).for_each(|_| drive.run_period());
+        // Either fails while the host's end is closed.
+        while drives_end.read(&mut byte).is_ok_and(|count| count > 0) {
+            if let Some(answer) = session.receive(byte[0], &mut drive) {
+                let _ = drives_end.write_all(answer);
+            }
+        }
+        while let Some(telemetry) = session.telemetry(&mut drive) {
+            let _ = drives_end.write_all(telemetry);
+        }
+    }
+    host.join().expect("a host that was content");
+}

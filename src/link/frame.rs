@@ -3,9 +3,7 @@
 //! Whatever the line loses or adds, a zero begins anew: no garbage ahead of a frame harms it. A frame that was changed on its
 //! way or cut short is dropped, and so is one that is longer than any message.
 
-use crc::{CRC_32_ISO_HDLC, Crc};
-use postcard::ser_flavors::crc::CrcModifier;
-use postcard::ser_flavors::{Cobs, Slice};
+use crate::checksum::CRC_32;
 use serde::Serialize;
 
 /// Longest frame, in bytes, with its zeros.
@@ -14,16 +12,26 @@ pub const LONGEST: usize = 256;
 /// Bytes of the CRC.
 const CRC_LENGTH: usize = 4;
 
-static CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
-
 /// A message's frame; nothing if the buffer does not hold it.
 pub fn encode<'b>(message: &impl Serialize, buffer: &'b mut [u8; LONGEST]) -> Option<&'b [u8]> {
-    let (first, rest) = buffer.split_first_mut()?;
-    *first = 0;
-    let stuffed = Cobs::try_new(Slice::new(rest)).ok()?;
-    let with_crc = CrcModifier::new(stuffed, CRC.digest());
-    let length = postcard::serialize_with_flavor(message, with_crc).ok()?.len();
-    buffer.get(..=length)
+    let mut plain = [0; LONGEST];
+    let length = postcard::to_slice(message, &mut plain).ok()?.len();
+    stuff(&mut plain, length, buffer)
+}
+
+/// Adds the CRC to a message of `length` bytes, stuffs both and puts them between zeros.
+fn stuff<'b>(
+    plain: &mut [u8; LONGEST],
+    length: usize,
+    buffer: &'b mut [u8; LONGEST],
+) -> Option<&'b [u8]> {
+    let (message, rest) = plain.split_at_mut_checked(length)?;
+    *rest.first_chunk_mut::<CRC_LENGTH>()? = CRC_32.checksum(message).to_le_bytes();
+    let plain = plain.get(..length + CRC_LENGTH)?;
+    buffer.fill(0);
+    let inner = buffer.get_mut(1..LONGEST - 1)?;
+    let stuffed = cobs::try_encode(plain, inner).ok()?;
+    buffer.get(..stuffed + 2)
 }
 
 /// Finds frames in a stream of bytes.
@@ -57,7 +65,7 @@ impl Decoder {
         let frame = self.buffer.get_mut(..length)?;
         let length = cobs::decode_in_place(frame).ok()?;
         let (message, crc) = self.buffer.get(..length)?.split_last_chunk::<CRC_LENGTH>()?;
-        (CRC.checksum(message) == u32::from_le_bytes(*crc)).then_some(message)
+        (CRC_32.checksum(message) == u32::from_le_bytes(*crc)).then_some(message)
     }
 }
 

@@ -14,7 +14,8 @@
 
 use core::fmt;
 use heapless::String;
-use serde::de::{self, DeserializeSeed, MapAccess, Visitor};
+use serde::de::value::U32Deserializer;
+use serde::de::{self, DeserializeSeed, IntoDeserializer, SeqAccess, Visitor};
 use serde::ser::{self, Impossible};
 use serde::{Deserialize, Serialize};
 
@@ -97,6 +98,8 @@ fn path(text: &str) -> Result<Path, Error> {
 }
 
 /// Appends a field to a path; gives the length to go back to.
+// Like others here not inlined: serde's code calls it for each field of each type.
+#[inline(never)]
 fn enter(path: &mut Path, field: &str) -> Result<usize, Error> {
     let length = path.len();
     if length > 0 {
@@ -112,6 +115,7 @@ struct Writer<'a, 's> {
 }
 
 impl Writer<'_, '_> {
+    #[inline(never)]
     fn put(&mut self, value: Value<'static>) -> Result<(), Error> {
         (self.sink)(&self.path, value)
     }
@@ -238,6 +242,7 @@ impl ser::SerializeStruct for &mut Writer<'_, '_> {
     type Ok = ();
     type Error = Error;
 
+    #[inline(never)]
     fn serialize_field<T: Serialize + ?Sized>(
         &mut self,
         field: &'static str,
@@ -285,15 +290,40 @@ struct Reader<'a, 'de> {
 }
 
 impl<'de> Reader<'_, 'de> {
+    #[inline(never)]
     fn find(&self, accept: &dyn Fn(&Value) -> bool) -> Result<Value<'de>, Error> {
         (self.source)(&self.path, accept).ok_or(Error::Unreadable)
     }
 
+    #[inline(never)]
+    fn number(&self) -> Result<f32, Error> {
+        match self.find(&|value| matches!(value, Value::Number(_)))? {
+            Value::Number(number) => Ok(number),
+            _ => Err(Error::Unreadable),
+        }
+    }
+
+    #[inline(never)]
     fn integer(&self) -> Result<i64, Error> {
         match self.find(&|value| matches!(value, Value::Integer(_)))? {
             Value::Integer(integer) => Ok(integer),
             _ => Err(Error::Unreadable),
         }
+    }
+}
+
+impl Reader<'_, '_> {
+    /// Enters the variant that is named; gives its index and the length of the path to go back to.
+    #[inline(never)]
+    fn enter_variant(&mut self, variants: &[&str]) -> Result<(u32, usize), Error> {
+        let index = |value: &Value| match value {
+            Value::Name(name) => variants.iter().position(|variant| variant == name),
+            _ => None,
+        };
+        let found = self.find(&|value| index(value).is_some())?;
+        let index = index(&found).ok_or(Error::Unreadable)?;
+        let variant = variants.get(index).ok_or(Error::Unreadable)?;
+        Ok((index as u32, enter(&mut self.path, variant)?))
     }
 }
 
@@ -309,10 +339,7 @@ impl<'de> de::Deserializer<'de> for &mut Reader<'_, 'de> {
     type Error = Error;
 
     fn deserialize_f32<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Error> {
-        match self.find(&|value| matches!(value, Value::Number(_)))? {
-            Value::Number(number) => visitor.visit_f32(number),
-            _ => Err(Error::Unreadable),
-        }
+        visitor.visit_f32(self.number()?)
     }
 
     fn deserialize_bool<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Error> {
@@ -340,7 +367,7 @@ impl<'de> de::Deserializer<'de> for &mut Reader<'_, 'de> {
         fields: &'static [&'static str],
         visitor: V,
     ) -> Result<V::Value, Error> {
-        visitor.visit_map(Fields { reader: self, fields: fields.iter(), field: "" })
+        visitor.visit_seq(Fields { reader: self, fields: fields.iter() })
     }
 
     fn deserialize_newtype_struct<V: Visitor<'de>>(
@@ -369,37 +396,38 @@ impl<'de> de::Deserializer<'de> for &mut Reader<'_, 'de> {
     }
 }
 
-/// The fields of a struct for which there is a value.
+/// The fields of a struct, in its order; none in the place of one for which there is no value.
 struct Fields<'r, 'a, 'de> {
     reader: &'r mut Reader<'a, 'de>,
     fields: core::slice::Iter<'static, &'static str>,
-    field: &'static str,
 }
 
-impl<'de> MapAccess<'de> for Fields<'_, '_, 'de> {
-    type Error = Error;
-
-    fn next_key_seed<K: DeserializeSeed<'de>>(
-        &mut self,
-        seed: K,
-    ) -> Result<Option<K::Value>, Error> {
-        for field in self.fields.by_ref() {
-            let length = enter(&mut self.reader.path, field)?;
-            let found = self.reader.find(&|_| true).is_ok();
-            self.reader.path.truncate(length);
-            if found {
-                self.field = field;
-                return seed.deserialize(de::value::StrDeserializer::new(field)).map(Some);
-            }
+impl Fields<'_, '_, '_> {
+    /// Enters the next field, if there is a value for it; gives the length of the path to go back to.
+    #[inline(never)]
+    fn next(&mut self) -> Result<Option<usize>, Error> {
+        let Some(field) = self.fields.next() else { return Ok(None) };
+        let length = enter(&mut self.reader.path, field)?;
+        if self.reader.find(&|_| true).is_ok() {
+            return Ok(Some(length));
         }
+        self.reader.path.truncate(length);
         Ok(None)
     }
+}
 
-    fn next_value_seed<V: DeserializeSeed<'de>>(&mut self, seed: V) -> Result<V::Value, Error> {
-        let length = enter(&mut self.reader.path, self.field)?;
+impl<'de> SeqAccess<'de> for Fields<'_, '_, 'de> {
+    type Error = Error;
+
+    #[inline(never)]
+    fn next_element_seed<T: DeserializeSeed<'de>>(
+        &mut self,
+        seed: T,
+    ) -> Result<Option<T::Value>, Error> {
+        let Some(length) = self.next()? else { return Ok(None) };
         let value = seed.deserialize(&mut *self.reader)?;
         self.reader.path.truncate(length);
-        Ok(value)
+        Ok(Some(value))
     }
 }
 
@@ -417,11 +445,9 @@ impl<'r, 'a, 'de> de::EnumAccess<'de> for Variant<'r, 'a, 'de> {
         self,
         seed: V,
     ) -> Result<(V::Value, Self::Variant), Error> {
-        let known =
-            |value: &Value| matches!(value, Value::Name(name) if self.variants.contains(name));
-        let Value::Name(name) = self.reader.find(&known)? else { return Err(Error::Unreadable) };
-        let variant = seed.deserialize(de::value::StrDeserializer::new(name))?;
-        let length = enter(&mut self.reader.path, name)?;
+        let (index, length) = self.reader.enter_variant(self.variants)?;
+        let index: U32Deserializer<Error> = index.into_deserializer();
+        let variant = seed.deserialize(index)?;
         Ok((variant, VariantReader { reader: self.reader, length }))
     }
 }
@@ -453,12 +479,135 @@ impl<'de> de::VariantAccess<'de> for VariantReader<'_, '_, 'de> {
         visitor: V,
     ) -> Result<V::Value, Error> {
         let reader = &mut *self.reader;
-        let value = visitor.visit_map(Fields { reader, fields: fields.iter(), field: "" })?;
+        let value = visitor.visit_seq(Fields { reader, fields: fields.iter() })?;
         self.reader.path.truncate(self.length);
         Ok(value)
     }
 
     fn tuple_variant<V: Visitor<'de>>(self, _: usize, _: V) -> Result<V::Value, Error> {
         Err(Error::Unsupported)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A structure as an older firmware has it.
+    #[derive(Debug, PartialEq, Serialize, Deserialize)]
+    struct Old {
+        speed: f32,
+        brake: Brake,
+        limit: Option<f32>,
+    }
+
+    #[derive(Debug, PartialEq, Serialize, Deserialize)]
+    enum Brake {
+        None,
+        Chopper { voltage: f32 },
+    }
+
+    /// The same as a newer one has it: more fields, in another order.
+    #[derive(Debug, PartialEq, Serialize, Deserialize)]
+    struct New {
+        brake: NewBrake,
+        #[serde(default = "ten")]
+        turns: u16,
+        limit: Option<f32>,
+        speed: f32,
+    }
+
+    #[derive(Debug, PartialEq, Serialize, Deserialize)]
+    enum NewBrake {
+        Chopper {
+            voltage: f32,
+            #[serde(default)]
+            hysteresis: Option<f32>,
+        },
+        None,
+    }
+
+    fn ten() -> u16 {
+        10
+    }
+
+    type Values = heapless::Vec<(Path, Value<'static>), 16>;
+
+    fn values(structure: &impl Serialize) -> Values {
+        let mut values = Values::new();
+        write("x", structure, &mut |name, value| {
+            values.push((path(name)?, value)).map_err(|_| Error::Full)
+        })
+        .expect("written");
+        values
+    }
+
+    fn back<T: for<'a> Deserialize<'a>>(values: &Values) -> Result<T, Error> {
+        read("x", &|path, accept| {
+            let mut found = values.iter().filter(|(name, _)| name == path);
+            found.find_map(|(_, value)| Some(*value).filter(accept))
+        })
+    }
+
+    #[test]
+    fn values_have_the_names_of_their_fields() {
+        let old = Old { speed: 1.5, brake: Brake::Chopper { voltage: 27.0 }, limit: None };
+        let expected = [
+            ("x", Value::Group),
+            ("x.speed", Value::Number(1.5)),
+            ("x.brake", Value::Name("Chopper")),
+            ("x.brake.Chopper.voltage", Value::Number(27.0)),
+            ("x.limit", Value::Name("none")),
+        ];
+        let values = values(&old);
+        assert!(values.iter().map(|(name, value)| (name.as_str(), *value)).eq(expected));
+        assert_eq!(back(&values), Ok(old));
+        let other = Old { speed: -1.5, brake: Brake::None, limit: Some(2.0) };
+        assert_eq!(back(&self::values(&other)), Ok(other));
+    }
+
+    #[test]
+    fn versions_read_each_other() {
+        let old = Old { speed: 1.5, brake: Brake::Chopper { voltage: 27.0 }, limit: Some(2.0) };
+        let new = New {
+            brake: NewBrake::Chopper { voltage: 27.0, hysteresis: None },
+            turns: 10,
+            limit: Some(2.0),
+            speed: 1.5,
+        };
+        assert_eq!(back::<Old>(&values(&new)), Ok(old));
+        let old = Old { speed: 1.5, brake: Brake::Chopper { voltage: 27.0 }, limit: Some(2.0) };
+        assert_eq!(back::<New>(&values(&old)), Ok(new), "defaults for what is new");
+    }
+
+    #[test]
+    fn what_has_no_default_must_be_there_and_fit() {
+        let old = Old { speed: 1.5, brake: Brake::None, limit: None };
+        for index in 1..4 {
+            let mut without = values(&old);
+            without.remove(index);
+            assert_eq!(back::<Old>(&without), Err(Error::Unreadable), "{index}");
+            let mut other = values(&old);
+            other[index].1 = Value::Name("Regenerative");
+            assert_eq!(back::<Old>(&other), Err(Error::Unreadable), "{index}");
+        }
+        assert_eq!(back::<Old>(&Values::new()), Err(Error::Unreadable));
+    }
+
+    #[test]
+    fn what_cannot_be_named_is_unsupported() {
+        #[derive(Serialize)]
+        struct Wide {
+            a_name_that_is_as_long_as_the_longest_path_and_then_a_little_more_than_that: bool,
+        }
+        let nothing: &mut Sink = &mut |_, _| Ok(());
+        assert_eq!(write("", &"text", nothing), Err(Error::Unsupported));
+        assert_eq!(write("", &[1.0_f32, 2.0], nothing), Err(Error::Unsupported));
+        assert_eq!(write("", &1.0_f64, nothing), Err(Error::Unsupported));
+        let wide = Wide {
+            a_name_that_is_as_long_as_the_longest_path_and_then_a_little_more_than_that: true,
+        };
+        assert_eq!(write("", &wide, nothing), Err(Error::Unsupported));
+        assert_eq!(write("", &1.0_f32, &mut |_, _| Err(Error::Full)), Err(Error::Full));
     }
 }

@@ -17,10 +17,10 @@
 
 use super::Parameters;
 use super::named::{Error, Value};
+use crate::checksum::CRC_32;
 use core::cmp::Reverse;
 use core::fmt;
 use core::ops::Range;
-use crc::{CRC_32_ISO_HDLC, Crc};
 use embassy_futures::block_on;
 use embedded_storage::nor_flash::NorFlash;
 use embedded_storage_async::nor_flash as nonblocking;
@@ -42,8 +42,6 @@ const LARGEST_VALUE: usize = 40;
 /// Keys of a half's map.
 const SET: u8 = 0;
 const COMMITTED: u8 = 1;
-
-static NAMES: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
 /// Where a flash keeps parameters.
 #[derive(Debug)]
@@ -167,14 +165,11 @@ impl<F: NorFlash> ParameterStore<F> {
         set: &[u8],
     ) -> Result<(), SaveError<F::Error>> {
         let mut buffer = [0; LARGEST];
-        let mut map = self.map(half).ok_or(SaveError::Flash(None))?;
-        block_on(map.store_item(&mut buffer, &SET, &set))?;
-        let stored: Option<&[u8]> = block_on(map.fetch_item(&mut buffer, &SET))?;
-        if stored != Some(set) {
+        self.put(half, SET, set, &mut buffer)?;
+        if self.fetch(half, SET, &mut buffer)? != Some(set) {
             return Err(SaveError::Flash(None));
         }
-        block_on(map.store_item(&mut buffer, &COMMITTED, &generation))?;
-        Ok(())
+        self.put(half, COMMITTED, &generation.to_le_bytes(), &mut buffer)
     }
 
     /// Both halves, the one with the newest set first.
@@ -186,30 +181,55 @@ impl<F: NorFlash> ParameterStore<F> {
 
     fn look(&mut self, range: Range<u32>) -> Half {
         let mut buffer = [0; LARGEST];
-        let Some(mut map) = self.map(&range) else {
-            return Half { range, set: None, committed: None, failed: true };
-        };
-        let set = block_on(map.fetch_item::<&[u8]>(&mut buffer, &SET))
-            .map(|set| set.and_then(|set| Some(split(set)?.0)));
-        let committed = block_on(map.fetch_item::<u32>(&mut buffer, &COMMITTED));
-        Half {
-            range,
-            failed: set.is_err() || committed.is_err(),
-            set: set.ok().flatten(),
-            committed: committed.ok().flatten(),
+        let mut half = Half { range, set: None, committed: None, failed: false };
+        match self.fetch(&half.range, SET, &mut buffer) {
+            Ok(set) => half.set = set.and_then(|set| Some(split(set)?.0)),
+            Err(_) => half.failed = true,
         }
+        match self.fetch(&half.range, COMMITTED, &mut buffer) {
+            Ok(generation) => {
+                let bytes = generation.and_then(|bytes| bytes.first_chunk().copied());
+                half.committed = bytes.map(u32::from_le_bytes);
+            }
+            Err(_) => half.failed = true,
+        }
+        half
     }
 
     /// The newest set of a half.
     fn read(&mut self, half: &Range<u32>, defaults: &Parameters) -> Option<Parameters> {
         let mut buffer = [0; LARGEST];
-        let set: &[u8] = block_on(self.map(half)?.fetch_item(&mut buffer, &SET)).ok()??;
-        decode(set, defaults)
+        decode(self.fetch(half, SET, &mut buffer).ok()??, defaults)
     }
 
-    fn map(&mut self, half: &Range<u32>) -> Option<Map<'_, F>> {
-        let config = MapConfig::try_new(half.clone()).ok()?;
-        Some(MapStorage::new(Blocking(&mut self.flash), config, Cache::new_uncached()))
+    // These two are not inlined: what they call is larger than all else here.
+
+    #[inline(never)]
+    fn fetch<'b>(
+        &mut self,
+        half: &Range<u32>,
+        key: u8,
+        buffer: &'b mut [u8; LARGEST],
+    ) -> Result<Option<&'b [u8]>, SaveError<F::Error>> {
+        let mut map = self.map(half)?;
+        Ok(block_on(map.fetch_item(buffer, &key))?)
+    }
+
+    #[inline(never)]
+    fn put(
+        &mut self,
+        half: &Range<u32>,
+        key: u8,
+        value: &[u8],
+        buffer: &mut [u8; LARGEST],
+    ) -> Result<(), SaveError<F::Error>> {
+        let mut map = self.map(half)?;
+        Ok(block_on(map.store_item(buffer, &key, &value))?)
+    }
+
+    fn map(&mut self, half: &Range<u32>) -> Result<Map<'_, F>, SaveError<F::Error>> {
+        let config = MapConfig::try_new(half.clone()).map_err(|_| SaveError::Flash(None))?;
+        Ok(MapStorage::new(Blocking(&mut self.flash), config, Cache::new_uncached()))
     }
 }
 
@@ -267,7 +287,7 @@ fn decode(set: &[u8], defaults: &Parameters) -> Option<Parameters> {
 
 /// What a parameter's record is found by.
 fn key(path: &str) -> u32 {
-    NAMES.checksum(path.as_bytes())
+    CRC_32.checksum(path.as_bytes())
 }
 
 /// Records of a set: a key, the length of a value, the value.

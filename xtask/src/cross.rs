@@ -62,6 +62,8 @@ impl Cross {
             .args(&["--package", "quasidrive", "--bin", name, "--features", name])
             // Without it all but errors are compiled out.
             .env("DEFMT_LOG", "info")
+            // What the image tells of itself over the link.
+            .env("QUASIDRIVE_BUILD", build())
             .run()?;
         let built = self.target_dir().join(TARGET).join(profile).join(name);
         let elf = root().join(format!("target/firmware/{name}.elf"));
@@ -98,6 +100,13 @@ impl Cross {
             Self::Debian { .. } => "target/debian",
         })
     }
+}
+
+/// The commit that is built, and whether anything was changed since.
+fn build() -> String {
+    let describe = program("git").args(&["describe", "--always", "--dirty", "--exclude=*"]);
+    // An archive without its history has no commit.
+    describe.output().map_or("unknown".to_owned(), |commit| commit.trim().to_owned())
 }
 
 fn rustup() -> Result<Cross> {
