@@ -43,7 +43,7 @@ pub enum Fault {
     CurrentZero = 13,
     /// No command came for [`Protection::command_timeout`](crate::supervisor::Protection::command_timeout).
     CommandLost = 14,
-    /// The control interrupt came too late or took too long.
+    /// The control interrupt came too late or took too long, with outputs on.
     Overrun = 15,
     /// The watchdog reset the board.
     WatchdogReset = 16,
@@ -205,7 +205,7 @@ impl Fault {
             ),
             Self::Overrun => (
                 "overrun",
-                "the control interrupt started or ended too late for its period",
+                "the control interrupt started or ended too late for its period, with outputs on",
                 off_at_once,
                 "report it, with what else ran",
             ),

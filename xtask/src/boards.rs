@@ -44,8 +44,8 @@ pub const B_G431B_ESC1: Board = Board {
         "9interrupt7Control6change",
         "9interrupt7Control11tell_period",
     ],
-    // The aim is 64 kB. Of what is above it, some 25 kB write and read parameters by serde, by name and in messages.
-    budget: Budget { flash: 105 * 1024, ram: 12 * 1024 },
+    // The aim is 64 kB; what keeps the image above it is in docs/b-g431b-esc1.md.
+    budget: Budget { flash: 90 * 1024, ram: 12 * 1024 },
 };
 
 pub const BOARDS: [Board; 2] = [QEMU, B_G431B_ESC1];

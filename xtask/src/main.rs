@@ -42,7 +42,7 @@ enum Task {
         #[arg(long, default_value = "auto")]
         toolchain: ToolchainChoice,
     },
-    /// Build the firmware of every board, to target/firmware/<board>.elf, and check its control interrupt.
+    /// Build the firmware of every board, to target/firmware/, and check its control interrupt.
     Firmware {
         /// Where the standard library for Cortex-M comes from.
         #[arg(long, default_value = "auto")]
