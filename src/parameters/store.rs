@@ -7,8 +7,8 @@
 //! controller ever sees another one's gains.
 //!
 //! The region has two halves of at least two pages, each a map of its own, and a save goes to the half that the newest set is
-//! not in. One map would do if erases were never interrupted. What an interrupted erase leaves need not look erased, and what the
-//! crate does to repair such a map can erase the page beside it, with the only copy (played in `tests/parameters.rs`).
+//! not in. With one map, what an interrupted write or erase leaves can be in the way of every later save, and to erase the map
+//! would take the only copy.
 //!
 //! After a set, its generation is stored as *committed*. A set that is older than that was damaged, not interrupted: the two
 //! would look the same otherwise, since damaged items are skipped.
