@@ -6,6 +6,7 @@
 
 use crate::config::ConfigError;
 use crate::control::{ControlConfig, Controller, Decision, Ranges, Setting, Signals, Timing};
+pub use crate::fault::Fault;
 use crate::hal::{Board, BridgeCommand, Sample};
 pub use crate::limits::Limits;
 use crate::math::{Base, Scalar, log2_ceil};
@@ -29,32 +30,8 @@ pub struct DriveConfig {
     /// What a sample may hold, and what the bridge may be told.
     pub limits: Limits,
     /// How commanded speeds become references.
+    #[serde(rename = "reference")]
     pub shape: Shape,
-}
-
-/// Why a drive stopped.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Fault {
-    /// A sample held a NaN or an infinity, or was of another kind than the drive's sensors.
-    BadSample,
-    /// The speed was beyond [`Limits::speed`].
-    Overspeed,
-    /// The current was beyond [`Limits::current`].
-    Overcurrent,
-    /// The bus voltage was below [`Limits::bus_min`].
-    BusUndervoltage,
-    /// The bus voltage was above [`Limits::bus_max`].
-    BusOvervoltage,
-    /// The encoder moved further in a period than twice what [`Limits::speed`] and a count allow.
-    EncoderJump,
-    /// Load or voltage were beyond the authority of their observers for [`AUTHORITY_TIME`], and the speed came no nearer to its
-    /// reference: a load beyond what was configured or what the current command can hold, a blocked rotor, an encoder that does
-    /// not count, or an encoder or motor lead connected the wrong way round.
-    BeyondAuthority,
-    /// The voltage that acted was further from the armature's model than [`MODEL_SHARE`] of [`Limits::bus_max`] for
-    /// [`AUTHORITY_TIME`], or three electrical time constants if that is longer: an encoder or motor lead connected the wrong way round, an encoder that does not count, an open
-    /// lead, or parameters far from the truth. Seen under every controller.
-    ModelMismatch,
 }
 
 /// The voltage u − Ra·i − Kb·ω that is taken for a wrong parameter, as a share of [`Limits::bus_max`]: more is a wrong
@@ -137,6 +114,8 @@ pub struct Drive<S: Scalar> {
     /// Ra·i + Kb·ω.
     modelled: S::Gains<2>,
     minus_inertia: S::Gains<1>,
+    /// The last sample's current and bus voltage.
+    measured: [S; 2],
     /// The highest bus is 2⁻`headroom` of the base of voltages.
     headroom: u32,
     bases: Bases,
@@ -207,6 +186,7 @@ impl<S: Scalar> Drive<S> {
             back_emf: S::gains("motor.back_emf_constant", [(back_emf_constant, speed)], voltage)?,
             modelled: S::gains("motor", modelled, voltage)?,
             minus_inertia: S::gains("motor.inertia", [(-inertia, acceleration)], torque)?,
+            measured: [S::ZERO; 2],
             headroom: log2_ceil(voltage.0 / limits.bus_max) as u32,
             bases,
         })
@@ -227,13 +207,18 @@ impl<S: Scalar> Drive<S> {
 
     /// Another controller, or the same with other gains, from the next step on. In the middle of a run it takes over without
     /// a jump: it starts from the speed that was known, the current that there is, and the voltage that acts.
-    pub fn change_controller(&mut self, ReadyController(controller): ReadyController<S>) {
+    pub fn change_controller(&mut self, mut controller: ReadyController<S>) {
+        self.swap_controller(&mut controller);
+    }
+
+    /// The same without moving it, which takes less stack. The one that ran until now is left in its place.
+    pub fn swap_controller(&mut self, ReadyController(controller): &mut ReadyController<S>) {
         self.changed |= self.driving;
         if self.driving {
             self.idle_speed = self.controller.signals().speed;
             self.driving = false;
         }
-        self.controller = controller;
+        core::mem::swap(&mut self.controller, controller);
         self.controller.know(self.idle_speed);
     }
 
@@ -277,6 +262,7 @@ impl<S: Scalar> Drive<S> {
         let Some(mut measured) = self.sensing.read(sample) else {
             return self.refuse(Fault::BadSample);
         };
+        self.measured = [measured.current, measured.bus_voltage];
         if !self.driving {
             let Some(first) = self.start(measured) else { return BridgeCommand::Off };
             measured = first;
@@ -410,6 +396,17 @@ impl<S: Scalar> Drive<S> {
     /// Whether the drive drives, and if not, why.
     pub fn mode(&self) -> Mode {
         self.mode
+    }
+
+    /// Armature current (A) and bus voltage (V) of the last sample, whatever they are; zeros before the first.
+    #[inline]
+    pub fn current_and_bus(&self) -> [S; 2] {
+        self.measured
+    }
+
+    /// Shaft speed (rad/s) as last known, whether the drive drives or follows.
+    pub fn speed(&self) -> S {
+        if self.driving { self.controller.signals().speed } else { self.idle_speed }
     }
 
     /// What the last driven period did; nothing before the first.

@@ -16,6 +16,10 @@
 //! - [`sense`]: from a board's codes and counts to SI units; [`estimate`]: from the shaft's angle to its speed.
 //! - [`control`]: the controllers, the quasi-sliding injection and the ultimate bounds.
 //! - [`drive`]: the composer: arming, faults, and [`Drive::step`](drive::Drive::step).
+//! - [`fault`]: everything that stops or limits a drive, in one list; [`supervisor`]: when outputs may be on.
+//! - [`modulation`], [`shunts`], [`thermistor`]: what boards have in common.
+//! - [`parameters`]: all that a user may set, by name, and how it is kept in flash.
+//! - [`link`]: messages between a drive and a host that commands and watches it.
 //! - [`protocol`]: messages to a host that plays the motor.
 //! - `board`: the boards, for targets without an operating system only.
 //!
@@ -91,15 +95,23 @@
 
 #[cfg(target_os = "none")]
 pub mod board;
+mod checksum;
 pub mod config;
 pub mod control;
 pub mod drive;
 pub mod estimate;
+pub mod fault;
 pub mod hal;
 mod limits;
+pub mod link;
 pub mod math;
+pub mod modulation;
 pub mod motor;
+pub mod parameters;
 pub mod per_unit;
 pub mod protocol;
 pub mod sense;
+pub mod shunts;
+pub mod supervisor;
+pub mod thermistor;
 pub mod trajectory;

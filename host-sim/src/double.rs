@@ -119,6 +119,10 @@ impl Scalar for Double {
         Self((0..16).map(|j| (position.0 - f64::from(j) * step.0).floor()).sum::<f64>() / 16.0)
     }
 
+    fn square(self) -> Self {
+        Self(self.0 * self.0)
+    }
+
     fn part(self, share: u8) -> Self {
         Self(self.0 * f64::from(share) / 256.0)
     }

@@ -4,6 +4,7 @@
 //! - [`profile`]: quantities that change over time;
 //! - [`sensors`]: what converters and counters make of the truth;
 //! - [`board`]: the simulated board, which implements [`quasidrive::hal::Board`];
+//! - [`flash`]: a microcontroller's flash, whose power can fail;
 //! - [`double`]: a double-precision scalar, to run the same laws without rounding in the way;
 //! - [`scenario`]: what to play, read from TOML and checked;
 //! - [`link`]: where the drive runs, here or in [`qemu`];
@@ -11,10 +12,16 @@
 //! - [`frame`]: what is recorded of a period; [`metrics`]: figures of merit of a run;
 //! - [`reproduction`]: the runs that reproduce the paper;
 //! - [`scoreboard`]: every controller on the same sensors, and the search for the best of its kind;
+//! - [`virtual_drive`]: a drive on the simulated board that speaks the firmware's link; [`serve`] puts it behind a socket;
+//! - [`client`]: the host's end of the link; [`connect`] and [`watch`] are its commands, [`assignment`] its names of parameters;
 //! - [`report`]: what they show, as HTML and in the terminal; [`plot`] and [`terminal`] draw its plots and tables.
 
+pub mod assignment;
 pub mod board;
+pub mod client;
+pub mod connect;
 pub mod double;
+pub mod flash;
 pub mod frame;
 pub mod link;
 pub mod metrics;
@@ -28,5 +35,8 @@ mod rule;
 pub mod scenario;
 pub mod scoreboard;
 pub mod sensors;
+pub mod serve;
 pub mod simulation;
 pub mod terminal;
+pub mod virtual_drive;
+pub mod watch;

@@ -2,7 +2,9 @@
 
 use anyhow::{Context, Result, bail};
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use host_sim::connect::{self, Connect};
 use host_sim::double::SimulatedScalar;
+use host_sim::flash::SimulatedFlash;
 use host_sim::frame::Frame;
 use host_sim::link::{LinkError, Local, LockStep};
 use host_sim::metrics::Metrics;
@@ -10,13 +12,16 @@ use host_sim::qemu::{Emulator, PATIENCE, Qemu};
 use host_sim::reproduction::PERIODS_PER_TICK;
 use host_sim::scenario::{Controller, FormName, Scenario, ScenarioError};
 use host_sim::simulation::{Outcome, ScalarName, simulate_in, simulate_on};
+use host_sim::virtual_drive::VirtualDrive;
 use host_sim::{report, reproduction, scoreboard, terminal};
 use indicatif::{ProgressBar, ProgressStyle};
 use quasidrive::drive::Fault;
 use quasidrive::math::Q31;
 use quasidrive::protocol::Word;
+use quasidrive::supervisor::Mode;
 use serde::Serialize;
 use std::io::{ErrorKind, Write, stdout};
+use std::net::{Ipv4Addr, TcpListener};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Once;
@@ -25,7 +30,7 @@ use std::sync::atomic::Ordering::Relaxed;
 
 /// Plays scenarios: quasidrive's speed loop against a simulated brushed DC motor.
 ///
-/// Exit codes: 0 done; 1 could not be done; 2 wrong usage or a refused scenario; 3 the drive stopped with a fault.
+/// Exit codes: 0 done; 1 could not be done; 2 wrong usage or a refused scenario; 3 the drive stopped with a fault, or has one.
 #[derive(Parser)]
 #[command(version)]
 struct Cli {
@@ -85,6 +90,21 @@ enum Command {
         #[arg(long, value_name = "NAME")]
         case: Option<String>,
     },
+    /// Run the drive of a scenario in real time behind a socket, for `connect`.
+    ///
+    /// The drive is the firmware's, on the simulated motor, with the scenario's load; speeds are commanded by `connect`.
+    Serve {
+        /// Scenario file (TOML).
+        file: PathBuf,
+        /// Port at 127.0.0.1; 0 for a free one.
+        #[arg(long, default_value_t = 4711)]
+        port: u16,
+        /// File for the drive's flash, so that saved parameters outlive it.
+        #[arg(long, value_name = "FILE")]
+        flash: Option<PathBuf>,
+    },
+    /// Command and watch a drive, on a board or served.
+    Connect(Connect),
     /// Play several scenarios and print their figures side by side.
     Compare {
         /// Scenario files (TOML).
@@ -281,6 +301,11 @@ fn execute(command: Command) -> Result<ExitCode> {
             }
             Ok(exit_code(&runs))
         }
+        Command::Serve { file, port, flash } => serve(&file, port, flash.as_deref()),
+        Command::Connect(connect) => Ok(match connect::run(&connect)? {
+            Some(status) if status.mode == Mode::Faulted => ExitCode::from(3),
+            _ => ExitCode::SUCCESS,
+        }),
         Command::Bench { quick, json, report, csv, seeds, case } => {
             let seeds = seeds.unwrap_or(if quick { 1 } else { 5 });
             let board =
@@ -312,6 +337,25 @@ fn execute(command: Command) -> Result<ExitCode> {
             }
             Ok(ExitCode::SUCCESS)
         }
+    }
+}
+
+/// Serves the drive of a scenario until the process is ended.
+fn serve(file: &Path, port: u16, flash_file: Option<&Path>) -> Result<ExitCode> {
+    let scenario = Scenario::read(file)?;
+    let flash = match flash_file {
+        Some(flash) if flash.exists() => SimulatedFlash::read(flash)
+            .with_context(|| format!("cannot read {}", flash.display()))?,
+        _ => SimulatedFlash::new(),
+    };
+    let mut drive = VirtualDrive::new(&scenario, flash)?;
+    let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port))
+        .with_context(|| format!("cannot listen at port {port}"))?;
+    writeln!(stdout(), "{} at tcp:{}", scenario.title, listener.local_addr()?)?;
+    stdout().flush()?;
+    match host_sim::serve::serve(&mut drive, scenario.timing.rate, &listener, flash_file) {
+        Ok(never) => match never {},
+        Err(error) => Err(error).context("cannot go on serving"),
     }
 }
 

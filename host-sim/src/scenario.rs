@@ -15,7 +15,9 @@ use quasidrive::control::{ControlConfig, Timing};
 use quasidrive::drive::{DriveConfig, Limits};
 use quasidrive::estimate::SpeedSource;
 use quasidrive::motor::MotorParameters;
+use quasidrive::parameters::Parameters;
 use quasidrive::sense::Sensors;
+use quasidrive::supervisor::{Protection, Supervisor};
 use quasidrive::trajectory::Shape;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -64,6 +66,9 @@ pub struct Scenario {
     /// Limits of the drive.
     #[serde(default)]
     pub limits: LimitsTable,
+    /// What watches over a drive that is served.
+    #[serde(default)]
+    pub protection: ProtectionTable,
     /// State at t = 0.
     #[serde(default)]
     pub initial: Initial,
@@ -336,6 +341,33 @@ impl Default for LimitsTable {
     }
 }
 
+/// `[protection]`; see [`Protection`].
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+#[expect(missing_docs, reason = "documented where they are used, in quasidrive")]
+pub struct ProtectionTable {
+    /// By default `limits.current_command`.
+    pub continuous_current: Option<f64>,
+    pub thermal_time: f64,
+    pub temperature: f64,
+    pub command_timeout: f64,
+    pub stop_time: f64,
+    pub standstill: f64,
+}
+
+impl Default for ProtectionTable {
+    fn default() -> Self {
+        Self {
+            continuous_current: None,
+            thermal_time: 20.0,
+            temperature: 85.0,
+            command_timeout: 1.0,
+            stop_time: 3.0,
+            standstill: 2.0,
+        }
+    }
+}
+
 /// `[initial]`
 #[derive(Clone, Copy, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -562,7 +594,8 @@ impl Scenario {
             finite(&format!("load.sines[{index}].phase"), sine.phase)?;
         }
         // Then the drive's own rules, with its own names for the same fields.
-        quasidrive::drive::Drive::<f32>::new(&self.drive_config())?;
+        let Parameters { drive, protection } = self.parameters();
+        Supervisor::<f32>::new(&drive, &protection)?;
         let steps = Plant::new(self.motor).steps_for(1.0 / self.timing.rate);
         let playable = steps <= MOST_STEPS;
         rule(playable, "motor.inductance", TOO_FAST, self.motor.inductance)?;
@@ -591,6 +624,24 @@ impl Scenario {
             },
             // A broken one is refused before this matters.
             shape: self.reference.shape().unwrap_or_default(),
+        }
+    }
+
+    /// The parameters of the drive that is served.
+    pub fn parameters(&self) -> Parameters {
+        let drive = self.drive_config();
+        let table = &self.protection;
+        let continuous_current = table.continuous_current.map(|current| current as f32);
+        Parameters {
+            drive,
+            protection: Protection {
+                continuous_current: continuous_current.unwrap_or(drive.limits.current_command),
+                thermal_time: table.thermal_time as f32,
+                temperature: table.temperature as f32,
+                command_timeout: table.command_timeout as f32,
+                stop_time: table.stop_time as f32,
+                standstill: table.standstill as f32,
+            },
         }
     }
 

@@ -120,7 +120,8 @@ pub fn bandwidth_for_ripple(
     let held = -exp_m1(-h * motor.resistance / motor.inductance) / motor.resistance;
     let count = calibration.count().abs();
     let fourth = ripple * motor.back_emf_constant * held / (0.2 * motor.inertia * h * h * count);
-    sqrt(sqrt(fourth)).clamp(0.03 / h, 0.1 / h)
+    // Not `clamp`: the message of its panic is 18 kB of code.
+    sqrt(sqrt(fourth)).max(0.03 / h).min(0.1 / h)
 }
 
 /// The drive form of a speed controller.

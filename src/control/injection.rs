@@ -75,7 +75,7 @@ fn implicit_tanh(v: f32, beta: f32) -> f32 {
     tanh(w)
 }
 
-/// Newton's steps for v up to 2 β and the largest β: fewer than 20 (a test).
+/// Newton's steps at most; far fewer are taken.
 const MOST_STEPS: usize = 40;
 
 #[cfg(test)]

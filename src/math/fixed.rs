@@ -296,6 +296,12 @@ impl Scalar for Q31 {
     }
 
     #[inline]
+    fn square(self) -> Self {
+        let upper = self.0 >> 12;
+        Self(upper.wrapping_mul(upper) >> 7)
+    }
+
+    #[inline]
     fn part(self, share: u8) -> Self {
         Self(self.0.wrapping_mul(share.into()) >> 8)
     }
@@ -458,6 +464,8 @@ mod tests {
         assert_eq!(Q31::from_sixteenths(-40).to_f32(Base::COUNT), -2.5);
         assert_eq!(Q31::from_code(4095).to_f32(Base::CODE), 4095.0);
         assert_eq!(Q31(1 << 20).part(64), Q31(1 << 18));
+        // (−1/16)² and (1/1024)².
+        assert_eq!([-(1 << 27), 1 << 21].map(|raw| Q31(raw).square()), [Q31(1 << 23), Q31(1 << 11)]);
         assert_eq!(Q31(3000).fraction(-7, 3), Q31(-7000));
         assert_eq!(Q31(1 << 28).fraction(1000, 1), Q31(QUARTER));
     }

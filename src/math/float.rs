@@ -131,6 +131,11 @@ impl Scalar for f32 {
     }
 
     #[inline]
+    fn square(self) -> f32 {
+        self * self
+    }
+
+    #[inline]
     fn part(self, share: u8) -> f32 {
         self * (f32::from(share) * (1.0 / 256.0))
     }

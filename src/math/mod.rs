@@ -28,6 +28,11 @@ impl Base {
     /// Of an encoder's counts.
     pub const COUNT: Self = Self(32_768.0);
 
+    /// That of the squares of its signals.
+    pub fn squared(self) -> Self {
+        Self(self.0 * self.0)
+    }
+
     /// One that is 2^`by` times smaller, for a signal that stays so much smaller.
     pub fn finer(self, by: u32) -> Self {
         Self(self.0 / (1_u64 << by) as f32)
@@ -114,6 +119,9 @@ pub trait Scalar:
     /// Mean of ⌊position − j·step⌋ for j = 0 … 15, in [`Base::COUNT`]: what a counter showed at 16 equal distances back. Both
     /// within ±2¹⁵ over all.
     fn mean_count(position: Self, step: Self) -> Self;
+
+    /// This signal's square, in the square of its base; in fixed point a sixteenth of the base is the largest.
+    fn square(self) -> Self;
 
     /// share/256 of a signal. In fixed point within ±2⁻⁸ of its base.
     fn part(self, share: u8) -> Self;

@@ -6,14 +6,16 @@
 //! counts as one. A function of known length shows that none is missed. Cycles are a model's ([`crate::cycles`]), for the
 //! Cortex-M4F only: a Cortex-M7 runs two instructions at a time, which no table tells.
 
-use crate::cross::{Cross, Image};
+use crate::boards::{self, Board};
+use crate::cross::Cross;
 use crate::cycles::cycles;
 use crate::debug_info::DebugInfo;
 use crate::interrupt;
 use crate::shell::{cargo, root};
+use crate::size::Size;
 use crate::thumb::{Code, Meaning};
 use anyhow::{Context, Result, bail, ensure};
-use object::{Object, ObjectSection, ObjectSymbol, SectionKind, SymbolKind};
+use object::{Object, ObjectSymbol, SymbolKind};
 use std::collections::BTreeSet;
 use std::fmt::Write;
 use std::fs::{self, File};
@@ -54,15 +56,15 @@ const FIXED: &str = "quasidrive::math::fixed::Q31";
 struct Core {
     name: &'static str,
     machine: &'static str,
-    image: Image,
+    board: &'static Board,
     has_cycles: bool,
 }
 
 const CORES: [Core; 4] = [
-    Core { name: "Cortex-M4F", machine: "mps2-an386", image: Image::QEMU, has_cycles: true },
-    Core { name: "Cortex-M7", machine: "mps2-an500", image: Image::QEMU, has_cycles: false },
-    Core { name: "Cortex-M3", machine: "mps2-an385", image: Image::QEMU_M3, has_cycles: false },
-    Core { name: "Cortex-M0", machine: "microbit", image: Image::QEMU_M0, has_cycles: false },
+    Core { name: "Cortex-M4F", machine: "mps2-an386", board: &boards::QEMU, has_cycles: true },
+    Core { name: "Cortex-M7", machine: "mps2-an500", board: &boards::QEMU, has_cycles: false },
+    Core { name: "Cortex-M3", machine: "mps2-an385", board: &boards::QEMU_M3, has_cycles: false },
+    Core { name: "Cortex-M0", machine: "microbit", board: &boards::QEMU_M0, has_cycles: false },
 ];
 
 /// The law that is counted apart of the rest of its controller's step.
@@ -114,19 +116,20 @@ fn table(cross: &Cross) -> Result<String> {
     );
     writeln!(table, "{:<43} {:>5} {:>7} {:>7} {:>7}", "", "min", "mean", "max", "cycles")?;
     for core in CORES {
-        let data = read(&cross.firmware(core.image)?)?;
+        let data = read(&cross.firmware(core.board)?)?;
         instructions(&core, &object::File::parse(&*data)?, &mut table)?;
     }
-    for (image, scalar) in [(Image::QEMU, "f32"), (Image::QEMU_M3, FIXED), (Image::QEMU_M0, FIXED)]
+    for (board, scalar) in
+        [(&boards::QEMU, "f32"), (&boards::QEMU_M3, FIXED), (&boards::QEMU_M0, FIXED)]
     {
-        writeln!(table, "\nbytes, {}", image.name)?;
-        let data = read(&cross.firmware(image)?)?;
+        writeln!(table, "\nbytes, {}", board.name)?;
+        let data = read(&cross.firmware(board)?)?;
         let elf = object::File::parse(&*data)?;
         let code = Code::read(&elf)?;
         let name = format!("Drive<{scalar}>");
         let size = DebugInfo::read(&elf)?.size_of(&name)?;
-        let state = ("control core, state: Drive".to_owned(), size);
-        let stack = ("control interrupt, stack".to_owned(), interrupt::reach(&code)?.stack);
+        let state = ("control core, state: Drive", size);
+        let stack = ("control interrupt, stack", interrupt::reach(&code, board)?.stack);
         for (name, bytes) in sizes(&elf).into_iter().chain([state, stack]) {
             writeln!(table, "{name:<43} {bytes:>5}")?;
         }
@@ -237,24 +240,15 @@ fn function(image: &object::File, part: &str, name: &str) -> Result<Range<u64>> 
 }
 
 /// Flash and RAM of the image, and the code of the control core in it.
-fn sizes(image: &object::File) -> [(String, u64); 3] {
-    let sum = |kinds: &[SectionKind]| {
-        let sections = image.sections().filter(|section| kinds.contains(&section.kind()));
-        sections.map(|section| section.size()).sum()
-    };
-    use SectionKind::{Data, ReadOnlyData, ReadOnlyString, Text, UninitializedData};
+fn sizes(image: &object::File) -> [(&'static str, u64); 3] {
+    let Size { flash, data } = Size::of(image);
     let is_core = |symbol: &object::Symbol| {
         let name = symbol.name().unwrap_or_default();
         let is_ours = name.starts_with("_ZN10quasidrive");
         symbol.is_definition() && is_ours && !name.contains("5board") && symbol.size() > 0
     };
     let core = image.symbols().filter(|symbol| is_core(symbol)).map(|symbol| symbol.size()).sum();
-    [
-        ("image, flash", sum(&[Text, ReadOnlyData, ReadOnlyString, Data])),
-        ("image, RAM without stack", sum(&[Data, UninitializedData])),
-        ("control core, code", core),
-    ]
-    .map(|(name, bytes)| (name.to_owned(), bytes))
+    [("image, flash", flash), ("image, RAM without stack", data), ("control core, code", core)]
 }
 
 /// What a call or an instruction costs.

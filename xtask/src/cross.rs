@@ -1,5 +1,6 @@
 //! Building for Cortex-M, with the standard library from rustup or from Debian.
 
+use crate::boards::{Board, TARGETS};
 use crate::packages::install;
 use crate::shell::{Shell, cargo, program, root};
 use anyhow::{Context, Result, bail};
@@ -7,32 +8,6 @@ use clap::ValueEnum;
 use std::fs;
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::{Path, PathBuf};
-
-/// Cortex-M4F and M7, M3, M0.
-const TARGETS: [&str; 3] = ["thumbv7em-none-eabihf", "thumbv7m-none-eabi", "thumbv6m-none-eabi"];
-
-/// A firmware image.
-#[derive(Clone, Copy, PartialEq, Eq)]
-pub struct Image {
-    /// Its name: it goes to `target/firmware/<name>.elf`.
-    pub name: &'static str,
-    binary: &'static str,
-    target: &'static str,
-    features: &'static str,
-}
-
-impl Image {
-    /// QEMU's MPS2 boards with Cortex-M4F and M7.
-    pub const QEMU: Self =
-        Self { name: "qemu", binary: "qemu", target: TARGETS[0], features: "qemu" };
-    /// That with Cortex-M3.
-    pub const QEMU_M3: Self = Self { name: "qemu-m3", target: TARGETS[1], ..Self::QEMU };
-    /// QEMU's micro:bit.
-    pub const QEMU_M0: Self =
-        Self { name: "qemu-m0", target: TARGETS[2], features: "microbit", ..Self::QEMU };
-    /// All images.
-    pub const ALL: [Self; 3] = [Self::QEMU, Self::QEMU_M3, Self::QEMU_M0];
-}
 
 const DEBIAN_PACKAGES: [&str; 3] = ["rustc-web", "cargo-web", "rust-web-src"];
 const DEBIAN_RUSTC: &str = "/usr/bin/rustc";
@@ -76,16 +51,18 @@ impl Cross {
         }
     }
 
-    /// Builds a firmware image; gives its ELF.
-    pub fn firmware(&self, image: Image) -> Result<PathBuf> {
-        let Image { name, binary, target, features } = image;
+    /// Builds a board's firmware; gives its ELF, at `target/firmware/<board>.elf`.
+    pub fn firmware(&self, board: &Board) -> Result<PathBuf> {
+        let Board { name, binary, features, target, profile, .. } = board;
         self.cargo()
-            .args(&["build", "--target", target, "--profile", "firmware"])
+            .args(&["build", "--target", target, "--profile", profile])
             .args(&["--package", "quasidrive", "--bin", binary, "--features", features])
             // Without it all but errors are compiled out.
             .env("DEFMT_LOG", "info")
+            // What the image tells of itself over the link.
+            .env("QUASIDRIVE_BUILD", build())
             .run()?;
-        let built = self.target_dir().join(target).join("firmware").join(binary);
+        let built = self.target_dir().join(target).join(profile).join(binary);
         let elf = root().join(format!("target/firmware/{name}.elf"));
         fs::create_dir_all(elf.with_file_name(""))?;
         fs::copy(&built, &elf).with_context(|| format!("no {}", built.display()))?;
@@ -123,6 +100,13 @@ impl Cross {
             Self::Debian { .. } => "target/debian",
         })
     }
+}
+
+/// The commit that is built, and whether anything was changed since.
+fn build() -> String {
+    let describe = program("git").args(&["describe", "--always", "--dirty", "--exclude=*"]);
+    // An archive without its history has no commit.
+    describe.output().map_or("unknown".to_owned(), |commit| commit.trim().to_owned())
 }
 
 fn rustup() -> Result<Cross> {

@@ -1,5 +1,6 @@
 //! `cargo xtask`: the project's chores.
 
+mod boards;
 mod count;
 mod cross;
 mod cycles;
@@ -8,12 +9,14 @@ mod interrupt;
 mod packages;
 mod setup;
 mod shell;
+mod size;
 mod thumb;
 
 use anyhow::Result;
+use boards::BOARDS;
 use clap::{Parser, Subcommand};
-use cross::{Cross, Image, ToolchainChoice};
-use shell::{cargo, root};
+use cross::{Cross, ToolchainChoice};
+use shell::{cargo, program, root};
 use std::process::ExitCode;
 
 /// The project's chores.
@@ -39,7 +42,7 @@ enum Task {
         #[arg(long, default_value = "auto")]
         toolchain: ToolchainChoice,
     },
-    /// Build the firmware for QEMU's boards, to target/firmware.
+    /// Build the firmware of every board, to target/firmware/, and check its control interrupt.
     Firmware {
         /// Where the standard library for Cortex-M comes from.
         #[arg(long, default_value = "auto")]
@@ -53,6 +56,18 @@ enum Task {
         /// Replace xtask/counts.txt by what is counted.
         #[arg(long)]
         rewrite: bool,
+    },
+    /// Print what every board's image takes of its flash and RAM; fail beyond the budget.
+    Size {
+        /// Where the standard library for Cortex-M comes from.
+        #[arg(long, default_value = "auto")]
+        toolchain: ToolchainChoice,
+    },
+    /// Build the B-G431B-ESC1's firmware, flash it by its ST-LINK with probe-rs, and show its log.
+    FlashEsc1 {
+        /// Where the standard library for Cortex-M comes from.
+        #[arg(long, default_value = "auto")]
+        toolchain: ToolchainChoice,
     },
     /// Redraw the README's plots.
     Plots,
@@ -74,19 +89,17 @@ fn execute(task: Task) -> Result<()> {
         Task::Demo => demo(),
         Task::Test { toolchain } => test(toolchain),
         Task::Firmware { toolchain } => {
-            let cross = setup::everything(toolchain)?;
-            Image::ALL.into_iter().try_for_each(|image| firmware(&cross, image))
+            let cross = Cross::set_up(toolchain)?;
+            BOARDS.iter().try_for_each(|board| interrupt::check(board, &cross.firmware(board)?))
         }
         Task::Count { toolchain, rewrite } => count::count(&setup::everything(toolchain)?, rewrite),
+        Task::FlashEsc1 { toolchain } => {
+            let elf = Cross::set_up(toolchain)?.firmware(&boards::B_G431B_ESC1)?;
+            program("probe-rs").args(&["run", "--chip", "STM32G431CB"]).args(&[elf]).run()
+        }
+        Task::Size { toolchain } => size::size(&Cross::set_up(toolchain)?),
         Task::Plots => host_sim(&["paper", "--plots", "docs"]),
     }
-}
-
-/// Builds an image and checks its interrupt.
-fn firmware(cross: &Cross, image: Image) -> Result<()> {
-    let elf = cross.firmware(image)?;
-    println!("Built {}.", elf.display());
-    interrupt::check(&elf)
 }
 
 fn demo() -> Result<()> {
@@ -122,7 +135,10 @@ fn test(toolchain: ToolchainChoice) -> Result<()> {
     cargo(&["fmt", "--all", "--check"]).run()?;
     cargo(&["clippy", "--workspace", "--all-targets", "--", "--deny", "warnings"]).run()?;
     cargo(&["test", "--workspace"]).run()?;
-    Image::ALL.into_iter().try_for_each(|image| firmware(&cross, image))?;
+    for board in &BOARDS {
+        interrupt::check(board, &cross.firmware(board)?)?;
+    }
+    size::size(&cross)?;
     processor_in_the_loop()?;
     count::count(&cross, false)?;
     cargo(&["doc", "--workspace", "--no-deps"]).env("RUSTDOCFLAGS", "--deny warnings").run()?;

@@ -6,7 +6,7 @@ use anyhow::{Context, Result, anyhow, ensure};
 use capstone::Capstone;
 use capstone::arch::arm::{ArchExtraMode, ArchMode, ArmOperandType};
 use capstone::prelude::*;
-use object::{Object, ObjectSection, ObjectSymbol, SymbolKind};
+use object::{Object, ObjectSection, ObjectSymbol, SectionKind, SymbolKind};
 use std::collections::BTreeMap;
 use std::ops::Range;
 
@@ -56,25 +56,28 @@ pub enum Meaning {
 impl Code {
     pub fn read(image: &object::File) -> Result<Self> {
         let decoder = Decoder::new()?;
-        let text = image.section_by_name(".text").context("no .text in the image")?;
-        let bytes = text.data()?;
-        let spans = code_spans(image, text.address() + text.size());
+        let executable = image.sections().filter(|section| section.kind() == SectionKind::Text);
+        let sections: Vec<(u64, &[u8])> = executable
+            .map(|section| Ok((section.address(), section.data()?)))
+            .collect::<Result<_>>()?;
+        ensure!(!sections.is_empty(), "no code in the image");
+        let spans = code_spans(image);
         ensure!(!spans.is_empty(), "no mapping symbols in the image");
         let mut functions = BTreeMap::new();
         for symbol in image.symbols().filter(|symbol| symbol.kind() == SymbolKind::Text) {
             // The lowest bit of a Thumb function's address says only that it is one.
             let start = symbol.address() & !1;
             let end = start + symbol.size();
-            let is_in_text = text.address() <= start && end <= text.address() + text.size();
-            if symbol.size() == 0 || !is_in_text {
-                continue;
-            }
+            let section = sections
+                .iter()
+                .find(|(address, bytes)| *address <= start && end <= address + bytes.len() as u64);
+            let Some((address, bytes)) = section.filter(|_| symbol.size() > 0) else { continue };
             let name = symbol.name().unwrap_or_default().to_owned();
             let mut instructions = BTreeMap::new();
             for span in &spans {
                 let (start, end) = (span.start.max(start), span.end.min(end));
                 if start < end {
-                    let offset = |address: u64| (address - text.address()) as usize;
+                    let offset = |place: u64| (place - address) as usize;
                     let decoded = decoder.decode(start, &bytes[offset(start)..offset(end)]);
                     instructions.extend(decoded.with_context(|| format!("in {name}"))?);
                 }
@@ -93,7 +96,7 @@ impl Code {
 }
 
 /// Where code is, and no data: from each mapping symbol $t to the next symbol of that kind.
-fn code_spans(image: &object::File, end: u64) -> Vec<Range<u64>> {
+fn code_spans(image: &object::File) -> Vec<Range<u64>> {
     let mut kinds = BTreeMap::new();
     for symbol in image.symbols() {
         match symbol.name().unwrap_or_default() {
@@ -102,7 +105,7 @@ fn code_spans(image: &object::File, end: u64) -> Vec<Range<u64>> {
             _ => None,
         };
     }
-    let ends = kinds.keys().skip(1).copied().chain([end]);
+    let ends = kinds.keys().skip(1).copied().chain([u64::MAX]);
     let spans = kinds.iter().zip(ends).filter(|((_, is_code), _)| **is_code);
     spans.map(|((start, _), end)| *start..end).collect()
 }

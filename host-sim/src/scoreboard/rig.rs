@@ -163,6 +163,7 @@ impl Rig {
                 current_command: Some(machine.current_command()),
                 ..LimitsTable::default()
             },
+            protection: Default::default(),
             initial: Initial::default(),
             reference: ReferenceTable {
                 steps: Vec::new(),

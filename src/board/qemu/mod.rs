@@ -12,13 +12,13 @@ mod machine;
 #[path = "mps2.rs"]
 mod machine;
 
+use super::handed_over::HandedOver;
 use crate::drive::{Drive, DriveConfig};
 use crate::hal::{Board, BridgeCommand, Sample};
 use crate::protocol::{
     MAGIC, Question, Record, Setup, VERSION, Verdict, Word, codes_from_words, exact_from_words,
 };
 use crate::sense::Sensors;
-use core::cell::UnsafeCell;
 use cortex_m::peripheral::NVIC;
 use cortex_m_rt::exception;
 use machine::{Interrupt, Pacer, Port};
@@ -152,13 +152,7 @@ impl Loop {
     }
 }
 
-/// State that is handed to the interrupt once, before the interrupt is enabled, and is the interrupt's alone from then on.
-struct HandedOver(UnsafeCell<Option<Loop>>);
-
-// SAFETY: written only before the interrupt is enabled, used only by the interrupt afterwards; see `run`.
-unsafe impl Sync for HandedOver {}
-
-static LOOP: HandedOver = HandedOver(UnsafeCell::new(None));
+static LOOP: HandedOver<Loop> = HandedOver::new();
 
 /// A hundred instructions in a straight line, to show that a count of instructions misses none.
 #[inline(never)]
@@ -193,7 +187,7 @@ fn set_up(serial: &mut Serial) -> bool {
     }
     let Some(config) = Setup::from_words(serial.read()).and_then(|Setup(config)| {
         // SAFETY: the timer's interrupt, the only other user, is still masked.
-        unsafe { *LOOP.0.get() = Some(Loop::new(&config)?) };
+        unsafe { LOOP.hand_over(Loop::new(&config)?) };
         Some(config)
     }) else {
         defmt::error!("setup refused");
@@ -219,8 +213,8 @@ fn enable_interrupt() {
 
 /// The PWM-rate interrupt.
 extern "C" fn timer() {
-    // SAFETY: since the interrupt is enabled, it is the only user, and it does not nest.
-    if let Some(control_loop) = unsafe { &mut *LOOP.0.get() } {
+    // SAFETY: this is the interrupt's handler.
+    if let Some(control_loop) = unsafe { LOOP.state() } {
         control_loop.pacer.start();
         control_loop.period();
     }

@@ -1,0 +1,201 @@
+//! The host's end of the link: a drive behind a serial port or a socket, asked and answering.
+
+use quasidrive::link::BAUD_RATE;
+use quasidrive::link::frame::{Decoder, LONGEST, encode};
+use quasidrive::link::message::{
+    Answer, Identity, Message, Numbered, Refusal, Request, Status, Telemetry, VERSION,
+};
+use quasidrive::parameters::Parameters;
+use quasidrive::supervisor::Command;
+use std::collections::VecDeque;
+use std::io::{ErrorKind, Read, Write};
+use std::net::TcpStream;
+use std::time::{Duration, Instant};
+
+/// How long a drive may take to answer: longer than to erase its flash, and for the longest frames both ways.
+const PATIENCE: Duration = Duration::from_secs(1);
+
+/// How long a read waits at most.
+const READ_TIME: Duration = Duration::from_millis(5);
+
+/// Why there is no answer, or not the wanted one.
+#[derive(Debug, thiserror::Error)]
+pub enum ClientError {
+    /// There is no such port, or it is in use.
+    #[error("cannot open {port}: {reason}")]
+    NoPort {
+        /// What was to be opened.
+        port: String,
+        /// What the system says.
+        reason: String,
+    },
+    /// The connection is gone.
+    #[error("the connection to the drive is lost; a drive talks to one host at a time")]
+    Lost(#[from] std::io::Error),
+    /// No answer came.
+    #[error("no answer from the drive within {PATIENCE:?}: is it a drive, and switched on?")]
+    Silent,
+    /// The drive has other messages.
+    #[error("the drive speaks version {0} of the link's messages, this program {VERSION}")]
+    WrongVersion(u16),
+    /// The drive refused.
+    #[error("refused: {0}")]
+    Refused(String),
+    /// The answer is to another question.
+    #[error("the drive's answer does not fit the request")]
+    WrongAnswer,
+    /// The request is too long for a frame.
+    #[error("the request is too long")]
+    TooLong,
+}
+
+/// A line that carries bytes.
+trait Line: Read + Write {}
+impl<T: Read + Write> Line for T {}
+
+/// A drive, seen from a host.
+pub struct Client {
+    line: Box<dyn Line>,
+    decoder: Decoder,
+    sequence: u16,
+    telemetry: VecDeque<Telemetry>,
+    /// Who the drive is, in words.
+    identity: String,
+}
+
+impl Client {
+    /// Opens `tcp:ADDRESS:PORT` or a serial port, and makes sure that a drive with the same messages is there.
+    pub fn open(port: &str) -> Result<Self, ClientError> {
+        let no_port = |reason: String| ClientError::NoPort { port: port.to_owned(), reason };
+        let line: Box<dyn Line> = match port.strip_prefix("tcp:") {
+            Some(address) => {
+                let stream =
+                    TcpStream::connect(address).map_err(|error| no_port(error.to_string()))?;
+                stream.set_nodelay(true)?;
+                stream.set_read_timeout(Some(READ_TIME))?;
+                Box::new(stream)
+            }
+            None => {
+                let serial = serialport::new(port, BAUD_RATE).timeout(READ_TIME).open();
+                Box::new(serial.map_err(|error| no_port(error.to_string()))?)
+            }
+        };
+        let mut client = Self {
+            line,
+            decoder: Decoder::new(),
+            sequence: 0,
+            telemetry: VecDeque::new(),
+            identity: String::new(),
+        };
+        client.identity = client.ask(Request::Identify, |answer| match answer {
+            Answer::Identity(Identity { version, .. }) if version != VERSION => {
+                Err(ClientError::WrongVersion(version))
+            }
+            Answer::Identity(Identity { board, firmware, build, .. }) => {
+                Ok(format!("{board} board, firmware {firmware}, build {build}"))
+            }
+            _ => Err(ClientError::WrongAnswer),
+        })?;
+        Ok(client)
+    }
+
+    /// Who the drive is.
+    pub fn identity(&self) -> &str {
+        &self.identity
+    }
+
+    /// What the drive is doing.
+    pub fn status(&mut self) -> Result<Status, ClientError> {
+        self.ask(Request::Status, |answer| match answer {
+            Answer::Status(status) => Ok(status),
+            _ => Err(ClientError::WrongAnswer),
+        })
+    }
+
+    /// The parameters in force.
+    pub fn parameters(&mut self) -> Result<Parameters, ClientError> {
+        self.ask(Request::ReadParameters, |answer| match answer {
+            Answer::Parameters(parameters) => Ok(parameters),
+            _ => Err(ClientError::WrongAnswer),
+        })
+    }
+
+    /// Has a command done.
+    pub fn command(&mut self, command: Command) -> Result<(), ClientError> {
+        self.have_done(Request::Command(command))
+    }
+
+    /// Has something done.
+    pub fn have_done(&mut self, request: Request) -> Result<(), ClientError> {
+        self.ask(request, |answer| match answer {
+            Answer::Done => Ok(()),
+            _ => Err(ClientError::WrongAnswer),
+        })
+    }
+
+    /// The telemetry that has come, waiting a little for some.
+    pub fn telemetry(&mut self) -> Result<Vec<Telemetry>, ClientError> {
+        if self.telemetry.is_empty() {
+            self.receive(|_, _| {})?;
+        }
+        Ok(self.telemetry.drain(..).collect())
+    }
+
+    fn ask<T>(
+        &mut self,
+        request: Request,
+        read: impl Fn(Answer) -> Result<T, ClientError>,
+    ) -> Result<T, ClientError> {
+        self.sequence = self.sequence.wrapping_add(1);
+        let wanted = self.sequence;
+        let mut buffer = [0; LONGEST];
+        let frame = encode(&Numbered { sequence: wanted, request }, &mut buffer);
+        self.line.write_all(frame.ok_or(ClientError::TooLong)?)?;
+        self.line.flush()?;
+        let start = Instant::now();
+        let mut result = None;
+        while result.is_none() {
+            if start.elapsed() > PATIENCE {
+                return Err(ClientError::Silent);
+            }
+            self.receive(|sequence, answer| {
+                if sequence == wanted {
+                    result = Some(match answer {
+                        Answer::Refused(refusal) => Err(refused(refusal)),
+                        answer => read(answer),
+                    });
+                }
+            })?;
+        }
+        result.unwrap_or(Err(ClientError::Silent))
+    }
+
+    /// Reads what has come, or waits a little for it; shows answers and keeps telemetry.
+    fn receive(&mut self, mut show: impl FnMut(u16, Answer)) -> Result<(), ClientError> {
+        let mut bytes = [0; 4096];
+        let count = match self.line.read(&mut bytes) {
+            Ok(0) => return Err(ClientError::Lost(ErrorKind::UnexpectedEof.into())),
+            Ok(count) => count,
+            Err(error) if is_nothing_yet(&error) => 0,
+            Err(error) => return Err(error.into()),
+        };
+        for byte in &bytes[..count] {
+            let message =
+                self.decoder.feed(*byte).and_then(|bytes| postcard::from_bytes(bytes).ok());
+            match message {
+                Some(Message::Answer { sequence, answer }) => show(sequence, answer),
+                Some(Message::Telemetry(telemetry)) => self.telemetry.push_back(telemetry),
+                None => {}
+            }
+        }
+        Ok(())
+    }
+}
+
+fn refused(refusal: Refusal) -> ClientError {
+    ClientError::Refused(refusal.to_string())
+}
+
+fn is_nothing_yet(error: &std::io::Error) -> bool {
+    matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted)
+}

@@ -1,0 +1,389 @@
+//! `serve` and `connect` as a user meets them: a drive behind a socket, commanded by hand.
+
+use assert_cmd::Command;
+use host_sim::client::{Client, ClientError};
+use predicates::prelude::*;
+use predicates::str::contains;
+use quasidrive::link::message::Request;
+use quasidrive::supervisor::{Command as DriveCommand, Mode};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Stdio};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+fn scenario() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/served.toml")
+}
+
+/// A served drive, which ends with its test.
+struct Served {
+    process: Child,
+    port: String,
+}
+
+impl Drop for Served {
+    fn drop(&mut self) {
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}
+
+impl Served {
+    fn start(arguments: &[&str]) -> Self {
+        let mut process = std::process::Command::new(env!("CARGO_BIN_EXE_host-sim"))
+            .arg("serve")
+            .arg(scenario())
+            .args(["--port", "0"])
+            .args(arguments)
+            .stdout(Stdio::piped())
+            .spawn()
+            .expect("runs");
+        let mut line = String::new();
+        let stdout = process.stdout.take().expect("piped");
+        BufReader::new(stdout).read_line(&mut line).expect("a line");
+        let (_, port) = line.trim().rsplit_once(" at ").expect("where it is");
+        let served = Self { process, port: port.to_owned() };
+        let mut client = served.client();
+        let start = Instant::now();
+        while matches!(client.status().expect("answers").mode, Mode::Boot | Mode::Calibrating) {
+            assert!(start.elapsed() < Duration::from_secs(5), "does not start");
+        }
+        served
+    }
+
+    fn connect(&self, arguments: &[&str]) -> Command {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_host-sim"));
+        command.arg("connect").arg(&self.port).args(arguments);
+        command
+    }
+
+    fn client(&self) -> Client {
+        Client::open(&self.port).expect("a drive")
+    }
+
+    /// A socket that is not bound to speak the link.
+    fn socket(&self) -> TcpStream {
+        TcpStream::connect(self.port.trim_start_matches("tcp:")).expect("listens")
+    }
+
+    /// A drive that follows a speed (rad/s).
+    fn running(&self, speed: f32) -> Client {
+        let mut client = self.client();
+        client.command(DriveCommand::Arm).expect("ready");
+        wait_for(&mut client, Mode::Running);
+        client.command(DriveCommand::Speed(speed)).expect("within the limits");
+        client
+    }
+}
+
+fn wait_for(client: &mut Client, mode: Mode) {
+    let start = Instant::now();
+    while client.status().expect("answers").mode != mode {
+        assert!(start.elapsed() < Duration::from_secs(5), "not {mode:?}");
+        sleep(Duration::from_millis(5));
+    }
+}
+
+/// The last line of telemetry in a plain watch: time, speed, reference, …
+fn last_telemetry(output: &[u8]) -> Vec<f64> {
+    let text = String::from_utf8(output.to_vec()).expect("text");
+    let line = text.lines().rfind(|line| !line.starts_with('#')).expect("telemetry");
+    line.split_whitespace().map(|number| number.parse().expect("a number")).collect()
+}
+
+#[test]
+fn a_motor_is_spun_from_the_command_line() {
+    let served = Served::start(&[]);
+    served
+        .connect(&["status"])
+        .assert()
+        .success()
+        .stdout(contains("simulated board, firmware").and(contains("mode Ready, faults: none")));
+    served
+        .connect(&["speed", "100"])
+        .assert()
+        .code(1)
+        .stderr(contains("refused: not while the drive is in mode Ready"));
+    served.connect(&["arm"]).assert().success().stdout(contains("mode Armed"));
+    sleep(Duration::from_millis(100));
+    served.connect(&["speed", "100"]).assert().success().stdout(contains("mode Running"));
+    // Longer than the timeout: watching keeps the drive alive.
+    let watched =
+        served.connect(&["watch", "--plain", "--seconds", "2", "--rate", "20"]).assert().success();
+    let output = &watched.get_output().stdout;
+    let [_, speed, reference, _, voltage, bus, load, _] = last_telemetry(output)[..] else {
+        unreachable!("eight columns")
+    };
+    assert!((speed - 100.0).abs() < 1.0 && (reference - 100.0).abs() < 0.1, "{speed}, {reference}");
+    assert!((6.0..8.0).contains(&voltage) && (bus - 24.0).abs() < 0.1, "{voltage} V of {bus} V");
+    assert!((0.0..0.05).contains(&load), "{load} N·m");
+    let lines = output.split(|byte| *byte == b'\n').filter(|line| !line.starts_with(b"#")).count();
+    assert!((30..=42).contains(&lines), "{lines} lines of 40");
+    served
+        .connect(&["speed", "-301"])
+        .assert()
+        .code(1)
+        .stderr(contains("the speed is beyond limits.speed"));
+    served.connect(&["disarm"]).assert().success().stdout(contains("mode Ready"));
+    sleep(Duration::from_millis(900));
+    let watched = served.connect(&["watch", "--plain", "--seconds", "1"]).assert().success();
+    let [_, speed, reference, _, voltage, ..] = last_telemetry(&watched.get_output().stdout)[..]
+    else {
+        unreachable!("eight columns")
+    };
+    assert_eq!([reference, voltage], [0.0, 0.0]);
+    assert!(speed.abs() < 5.0, "friction stops it: {speed}");
+}
+
+#[test]
+fn a_silent_host_is_lost() {
+    let served = Served::start(&[]);
+    let mut client = served.running(50.0);
+    // Half a timeout at a time is no silence.
+    for _ in 0..4 {
+        sleep(Duration::from_millis(500));
+        client.command(DriveCommand::KeepAlive).expect("answers");
+    }
+    assert_eq!(client.status().expect("answers").mode, Mode::Running);
+    drop(client);
+    sleep(Duration::from_millis(1700));
+    served
+        .connect(&["status"])
+        .assert()
+        .code(3)
+        .stdout(contains("mode Faulted, faults: 14 command lost"));
+    served.connect(&["arm"]).assert().code(1).stderr(contains("in mode Faulted"));
+    served.connect(&["clear"]).assert().success();
+    served.connect(&["status"]).assert().success().stdout(contains("mode Ready, faults: none"));
+}
+
+#[test]
+fn garbage_does_not_disturb_and_is_no_sign_of_life() {
+    let served = Served::start(&[]);
+    drop(served.running(100.0));
+    let mut garbage = served.socket();
+    let flood: Vec<u8> =
+        (0_u32..200_000).map(|n| (n.wrapping_mul(2_654_435_761) >> 13) as u8).collect();
+    garbage.write_all(&flood).expect("taken");
+    drop(garbage);
+    sleep(Duration::from_millis(300));
+    let mut client = served.client();
+    assert_eq!(client.status().expect("answers").mode, Mode::Running);
+    client.have_done(Request::SetTelemetry(200)).expect("done");
+    sleep(Duration::from_millis(100));
+    let speed = client.telemetry().expect("some").last().expect("some").speed;
+    assert!((speed - 100.0).abs() < 2.0, "{speed}");
+    // A command cut short, and the whole one after it.
+    drop(client);
+    let mut cut = served.socket();
+    cut.write_all(&[0, 3, 1, 2]).expect("taken");
+    drop(cut);
+    assert_eq!(served.client().status().expect("answers").mode, Mode::Running);
+    let mut garbage = served.socket();
+    let start = Instant::now();
+    while start.elapsed() < Duration::from_millis(1800) {
+        garbage.write_all(&flood[..100]).expect("taken");
+        sleep(Duration::from_millis(50));
+    }
+    drop(garbage);
+    assert_eq!(served.client().status().expect("answers").mode, Mode::Faulted);
+}
+
+#[test]
+fn one_host_at_a_time() {
+    let served = Served::start(&[]);
+    let mut first = served.running(10.0);
+    for _ in 0..3 {
+        let mut second = served.socket();
+        second.set_read_timeout(Some(Duration::from_secs(5))).expect("a timeout");
+        assert!(matches!(second.read(&mut [0; 1]), Ok(0) | Err(_)), "hung up on");
+        assert_eq!(first.status().expect("still answered").mode, Mode::Running);
+    }
+    served.connect(&["status"]).assert().code(1).stderr(contains("one host at a time"));
+    drop(first);
+    served.connect(&["status"]).assert().success();
+}
+
+#[test]
+fn parameters_are_shown_changed_and_saved() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let flash = folder.path().join("flash.bin");
+    let arguments = ["--flash", flash.to_str().expect("text")];
+    let served = Served::start(&arguments);
+    served
+        .connect(&["parameters", "get", "limits.duty", "reference"])
+        .assert()
+        .success()
+        .stdout("limits.duty=0.92\nreference=SecondOrder\nreference.SecondOrder.bandwidth=40.0\n");
+    served
+        .connect(&["parameters", "get"])
+        .assert()
+        .success()
+        .stdout(contains("motor.inertia=7.95e-5\n"));
+    for (arguments, reason) in [
+        (&["limits.duty=2"][..], "refused: limits.duty must be above 0 and at most 1, but is 2.0"),
+        (
+            &["timing.rate=10000"],
+            "refused: timing.rate and timing.delay must be as in the scenario",
+        ),
+        (&["limits.dutty=0.5"], "there is no parameter limits.dutty"),
+        (&["limits.duty=half"], "limits.duty cannot be so"),
+        (&["limits.duty=0.5", "protection.temperature=200"], "must be from 0 to 120 °C"),
+    ] {
+        let mut set = served.connect(&["parameters", "set"]);
+        set.args(arguments).assert().code(1).stderr(contains(reason));
+    }
+    served.connect(&["parameters", "set", "limits.duty"]).assert().code(2);
+    served
+        .connect(&["parameters", "get", "brake"])
+        .assert()
+        .code(1)
+        .stderr(contains("no parameter brake"));
+    let duty = |served: &Served, value: &str| {
+        let wanted = format!("limits.duty={value}\n");
+        served.connect(&["parameters", "get", "limits.duty"]).assert().success().stdout(wanted);
+    };
+    duty(&served, "0.92");
+    let set = [
+        "parameters",
+        "set",
+        "limits.duty=0.5",
+        "reference=SCurve",
+        "reference.SCurve.acceleration=2000",
+        "reference.SCurve.jerk=1e5",
+    ];
+    served.connect(&set).assert().success();
+    duty(&served, "0.5");
+    served.connect(&["parameters", "save"]).assert().success();
+    served.connect(&["parameters", "set", "limits.duty=0.6"]).assert().success();
+    duty(&served, "0.6");
+    drop(served);
+    // Switched off and on: what was saved, not what was in force.
+    let served = Served::start(&arguments);
+    duty(&served, "0.5");
+    let client = served.running(10.0);
+    drop(client);
+    for action in [&["set", "limits.duty=0.7"][..], &["save"]] {
+        let mut refused = served.connect(&["parameters"]);
+        refused
+            .args(action)
+            .assert()
+            .code(1)
+            .stderr(contains("not while the drive is in mode Running"));
+    }
+    drop(served);
+    // A flash that is damaged where the set is: a fault, and safe defaults.
+    let mut memory = std::fs::read(&flash).expect("written");
+    let place = memory[0x1_e000..].iter().rposition(|byte| *byte == b'S').expect("SCurve");
+    memory[0x1_e000 + place] ^= 1;
+    std::fs::write(&flash, memory).expect("written");
+    let served = Served::start(&arguments);
+    served.connect(&["status"]).assert().code(3).stdout(contains("17 bad parameters"));
+    duty(&served, "0.92");
+    served.connect(&["parameters", "save"]).assert().success();
+    served.connect(&["clear"]).assert().success();
+    served.connect(&["status"]).assert().success().stdout(contains("faults: none"));
+    drop(served);
+    let served = Served::start(&arguments);
+    served.connect(&["status"]).assert().success();
+}
+
+#[test]
+fn another_controller_takes_over_while_the_motor_turns() {
+    let served = Served::start(&[]);
+    let mut client = served.running(100.0);
+    for _ in 0..10 {
+        sleep(Duration::from_millis(50));
+        client.command(DriveCommand::KeepAlive).expect("answers");
+    }
+    drop(client);
+    let file = scenario();
+    let file = file.to_str().expect("text");
+    for name in ["pi", "ladrc", "drive-qismc", "bs-qsmdo"] {
+        served.connect(&["controller", file, "--controller", name]).assert().success();
+        let watched = served.connect(&["watch", "--plain", "--seconds", "1"]).assert().success();
+        let [_, speed, ..] = last_telemetry(&watched.get_output().stdout)[..] else {
+            unreachable!("eight columns")
+        };
+        assert!((speed - 100.0).abs() < 3.0, "{name}: {speed}");
+    }
+    served
+        .connect(&["parameters", "get", "control"])
+        .assert()
+        .success()
+        .stdout(contains("control=Paper\n"));
+}
+
+#[test]
+fn what_is_no_drive_is_an_error() {
+    let connect = |port: &str| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_host-sim"));
+        command.args(["connect", port, "status"]);
+        command
+    };
+    connect("/dev/no-such-port").assert().code(1).stderr(contains("cannot open /dev/no-such-port"));
+    connect("tcp:127.0.0.1:1").assert().code(1).stderr(contains("cannot open tcp:127.0.0.1:1"));
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
+    let port = format!("tcp:{}", listener.local_addr().expect("bound"));
+    connect(&port).assert().code(1).stderr(contains("no answer from the drive within 1s"));
+    let talker = std::thread::spawn(move || {
+        // The first is the one that was left without an answer.
+        for stream in listener.incoming().take(3) {
+            let _ = stream.expect("a host").write_all(&[0, 1, 2, 3, 0, 0x55, 0]);
+        }
+    });
+    for _ in 0..2 {
+        let error = Client::open(&port).err().expect("no drive");
+        assert!(matches!(error, ClientError::Silent | ClientError::Lost(_)), "{error}");
+    }
+    talker.join().expect("ended");
+}
+
+/// A pair of pseudo-terminals is a serial cable with both ends on this computer.
+#[cfg(unix)]
+#[test]
+fn a_serial_port_carries_the_same() {
+    use host_sim::flash::SimulatedFlash;
+    use host_sim::scenario::Scenario;
+    use host_sim::virtual_drive::VirtualDrive;
+    use quasidrive::link::session::Session;
+    use serialport::{SerialPort, TTYPort};
+
+    let (mut drives_end, hosts_end) = TTYPort::pair().expect("pseudo-terminals");
+    let name = hosts_end.name().expect("a name");
+    // The host opens it anew.
+    drop(hosts_end);
+    drives_end.set_timeout(Duration::from_millis(1)).expect("a timeout");
+    let scenario = Scenario::read(&scenario()).expect("shipped");
+    let mut drive = VirtualDrive::new(&scenario, SimulatedFlash::new()).expect("valid");
+    let host = std::thread::spawn(move || {
+        let mut client = Client::open(&name).expect("a drive");
+        wait_for(&mut client, Mode::Ready);
+        client.command(DriveCommand::Arm).expect("ready");
+        wait_for(&mut client, Mode::Running);
+        client.have_done(Request::SetTelemetry(20)).expect("done");
+        client.command(DriveCommand::Speed(50.0)).expect("within the limits");
+        let start = Instant::now();
+        while client.telemetry().expect("some").iter().all(|telemetry| telemetry.speed < 49.0) {
+            client.command(DriveCommand::KeepAlive).expect("answers");
+            assert!(start.elapsed() < Duration::from_secs(20), "does not turn");
+        }
+    });
+    let mut session = Session::default();
+    let mut byte = [0];
+    while !host.is_finished() {
+        (0..20).for_each(|_| drive.run_period());
+        // Either fails while the host's end is closed.
+        while drives_end.read(&mut byte).is_ok_and(|count| count > 0) {
+            if let Some(answer) = session.receive(byte[0], &mut drive) {
+                let _ = drives_end.write_all(answer);
+            }
+        }
+        while let Some(telemetry) = session.telemetry(&mut drive) {
+            let _ = drives_end.write_all(telemetry);
+        }
+    }
+    host.join().expect("a host that was content");
+}

@@ -1,0 +1,241 @@
+//! The control interrupt: once a PWM period, from the converters' end of sequence to the bridge's compare values.
+//!
+//! It has the highest priority, and its code is in CCM SRAM (`memory.x`). Its state is its own. Tasks reach it by slots of one value each:
+//! [`command`] and [`change`] go in, what became of it, [`status`] and [`telemetry`] come out. What does not fit waits or is dropped; a
+//! period never is.
+
+use super::analogue::{self, Conversions};
+use super::bridge::{self, Bridge};
+use super::encoder::{Counts, Encoder};
+use crate::board::handed_over::HandedOver;
+use crate::board::slot::Slot;
+use crate::drive::ReadyController;
+use crate::hal::{Codes, Sample};
+use crate::link::message::{Status, Telemetry};
+use crate::shunts::Shunts;
+use crate::supervisor::{Command, Conditions, Output, Refusal, Supervisor};
+use core::sync::atomic::{AtomicU32, Ordering};
+use cortex_m::peripheral::{DWT, NVIC};
+use embassy_stm32::interrupt;
+use embassy_stm32::interrupt::InterruptExt;
+
+/// What became of a command.
+#[derive(Clone, Copy, Debug)]
+pub struct Answer {
+    /// Whether it was taken.
+    pub result: Result<(), Refusal>,
+    /// What the drive is doing since.
+    pub status: Status,
+}
+
+/// What takes the place of what there is.
+#[derive(Clone, Debug)]
+#[allow(clippy::large_enum_variant, reason = "both are large")]
+pub enum Change {
+    /// Another controller, at any time.
+    Controller(ReadyController<f32>),
+    /// Another supervisor, with outputs off. Heat and faults go on.
+    Supervisor(Supervisor<f32>),
+}
+
+static CONTROL: HandedOver<Control> = HandedOver::new();
+
+static COMMAND: Slot<Command> = Slot::new();
+static ANSWER: Slot<Answer> = Slot::new();
+static CHANGE: Slot<Change> = Slot::new();
+static STATUS: Slot<Status> = Slot::new();
+static TELEMETRY: Slot<Telemetry> = Slot::new();
+
+/// Counts periods; stands still when the interrupt does.
+static PERIODS: AtomicU32 = AtomicU32::new(0);
+
+/// Periods from one telemetry to the next; zero: none.
+static DECIMATION: AtomicU32 = AtomicU32::new(0);
+
+/// Gives the drive a command and waits for the answer, which takes a period. Nothing if none comes in four.
+pub fn command(command: Command) -> Option<Answer> {
+    // One that came too late for its asker.
+    ANSWER.take();
+    if !COMMAND.put(command) {
+        return None;
+    }
+    (0..64).find_map(|_| {
+        cortex_m::asm::delay(bridge::PERIOD / 16);
+        ANSWER.take()
+    })
+}
+
+/// Changes controller or supervisor from the next period on. Tells whether there was room: not before the last
+/// change was made.
+pub fn change(change: Change) -> bool {
+    CHANGE.put(change)
+}
+
+/// What the drive is doing, if that has changed.
+pub fn status() -> Option<Status> {
+    STATUS.take()
+}
+
+/// A period, if one is due.
+pub fn telemetry() -> Option<Telemetry> {
+    TELEMETRY.take()
+}
+
+/// Periods since the start; wraps.
+pub fn periods() -> u32 {
+    PERIODS.load(Ordering::Relaxed)
+}
+
+/// Sets how many periods lie between two of [`telemetry`]; zero: there is none.
+pub fn set_telemetry(decimation: u32) {
+    DECIMATION.store(decimation, Ordering::Relaxed);
+}
+
+/// What the interrupt works on.
+struct Control {
+    supervisor: Supervisor<f32>,
+    bridge: Bridge,
+    encoder: Encoder,
+    shunts: Shunts,
+    /// What was last told.
+    status: Status,
+    /// What the interrupt took (clock cycles), without the core's own entry and exit: the last one, and the longest.
+    cycles: [u32; 2],
+    /// Periods since the last telemetry.
+    since_telemetry: u32,
+    /// Whether the last command came too late for its update.
+    is_late: bool,
+}
+
+/// Hands everything to the interrupt and enables it.
+pub(super) fn start(supervisor: Supervisor<f32>, bridge: Bridge, encoder: Encoder) {
+    let status = status_of(&supervisor);
+    // SAFETY: the interrupt is still masked.
+    unsafe {
+        CONTROL.hand_over(Control {
+            supervisor,
+            bridge,
+            encoder,
+            shunts: Shunts::new(analogue::SHUNTS),
+            status,
+            cycles: [0; 2],
+            since_telemetry: 0,
+            is_late: false,
+        });
+    }
+    interrupt::ADC1_2.set_priority(interrupt::Priority::P0);
+    NVIC::unpend(interrupt::ADC1_2);
+    // SAFETY: all that the handler uses is in place.
+    unsafe { interrupt::ADC1_2.enable() };
+}
+
+#[interrupt]
+fn ADC1_2() {
+    let start = DWT::cycle_count();
+    // SAFETY: this is the interrupt's handler.
+    if let Some(control) = unsafe { CONTROL.state() } {
+        control.period(start);
+    }
+}
+
+impl Control {
+    /// One PWM period, which began at a count of cycles.
+    // Not inlined, for the linker to find it by its name.
+    #[inline(never)]
+    fn period(&mut self, start: u32) {
+        bridge::take_update();
+        let Conversions { legs, bus_voltage, temperature } = analogue::read();
+        let Counts { reads, shift, is_in_time } = self.encoder.read();
+        self.listen();
+        let current = self.shunts.read(legs, self.bridge.is_on());
+        let conditions = Conditions {
+            temperature,
+            current_sensors: self.shunts.state(),
+            tripped: self.bridge.has_tripped(),
+            overrun: self.is_late || !is_in_time,
+        };
+        let codes = Codes { current, bus_voltage, encoder: reads, shift };
+        let output = self.supervisor.step(&Sample::Codes(codes), &conditions);
+        self.bridge.apply(output);
+        // The update that these compare values were for has passed.
+        self.is_late = bridge::take_update();
+
+        let period = PERIODS.load(Ordering::Relaxed).wrapping_add(1);
+        PERIODS.store(period, Ordering::Relaxed);
+        self.tell(period, output);
+        let [last, longest] = &mut self.cycles;
+        *last = DWT::cycle_count().wrapping_sub(start);
+        *longest = (*longest).max(*last);
+    }
+
+    /// Takes what tasks have for the drive.
+    #[inline]
+    fn listen(&mut self) {
+        if let Some(command) = COMMAND.take() {
+            let result = self.supervisor.command(command);
+            // There is room: who gave the command has emptied it.
+            ANSWER.put(Answer { result, status: status_of(&self.supervisor) });
+        }
+        if CHANGE.is_full() {
+            self.change();
+        }
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn change(&mut self) {
+        CHANGE.use_up(|change| match change {
+            Change::Controller(controller) => self.supervisor.change_controller(controller),
+            Change::Supervisor(supervisor) if self.supervisor.output() == Output::Off => {
+                supervisor.succeed(&self.supervisor);
+                core::mem::swap(&mut self.supervisor, supervisor);
+            }
+            // Armed in the meantime: the parameters in force stay.
+            Change::Supervisor(_) => {}
+        });
+    }
+
+    /// Tells tasks what there is to tell.
+    #[inline]
+    fn tell(&mut self, period: u32, output: Output<f32>) {
+        let status = status_of(&self.supervisor);
+        if status != self.status && STATUS.put(status) {
+            self.status = status;
+        }
+        self.since_telemetry = self.since_telemetry.saturating_add(1);
+        let decimation = DECIMATION.load(Ordering::Relaxed);
+        if decimation > 0 && self.since_telemetry >= decimation {
+            self.since_telemetry = 0;
+            self.tell_period(period, output);
+        }
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn tell_period(&mut self, period: u32, output: Output<f32>) {
+        let drive = self.supervisor.drive();
+        let [current, bus_voltage] = drive.current_and_bus();
+        let [reference, voltage, load_torque] = match (drive.telemetry(), output) {
+            (Some(law), Output::Duty(_)) => [law.reference.speed, law.voltage, law.load_torque],
+            _ => [0.0; 3],
+        };
+        let [interrupt_time, longest_interrupt_time] =
+            self.cycles.map(|cycles| cycles * 100 / (super::CYCLES_PER_MICROSECOND / 10));
+        // If the last one was not taken yet, this one is dropped.
+        TELEMETRY.put(Telemetry {
+            period,
+            reference,
+            speed: drive.speed(),
+            current,
+            voltage,
+            bus_voltage,
+            load_torque,
+            interrupt_time,
+            longest_interrupt_time,
+        });
+    }
+}
+
+fn status_of(supervisor: &Supervisor<f32>) -> Status {
+    Status { mode: supervisor.mode(), faults: supervisor.faults(), limits: supervisor.limits() }
+}

@@ -1,0 +1,162 @@
+//! The drive's end of the serial link ([`crate::link`]), on USART2: the ST-LINK's virtual port, and connector J3.
+//!
+//! Bytes come and go by the port's interrupt, which the control interrupt precedes; everything else is a task. A flood of bytes takes time
+//! from tasks only.
+
+use super::interrupt::Change;
+use super::parameter_flash::{ParameterFlash, REGION};
+use super::{build, defaults, interrupt};
+use crate::control::ControlConfig;
+use crate::drive::{DriveConfig, ReadyController};
+use crate::fault::{Fault, Faults};
+use crate::link::message::{Identity, Refusal, Status, Telemetry, VERSION};
+use crate::link::session::{Device, Session};
+use crate::link::{BAUD_RATE, BUILD};
+use crate::parameters::Parameters;
+use crate::parameters::store::{Origin, ParameterStore};
+use crate::supervisor::{Command, Mode, Supervisor};
+use embassy_futures::select::{Either, select};
+use embassy_stm32::flash::Flash;
+use embassy_stm32::interrupt::{InterruptExt, Priority};
+use embassy_stm32::usart::{self, BufferedInterruptHandler, BufferedUart};
+use embassy_stm32::{Peri, bind_interrupts, peripherals};
+use embassy_time::Timer;
+use embedded_io_async::{Read, Write};
+
+bind_interrupts!(struct Interrupts {
+    USART2 => BufferedInterruptHandler<peripherals::USART2>;
+});
+
+/// How long telemetry may wait if no byte comes from the host (ms).
+const TURN: u64 = 1;
+
+/// The serial port's pins and itself.
+pub struct Port {
+    pub(super) usart: Peri<'static, peripherals::USART2>,
+    /// From the host.
+    pub(super) rx: Peri<'static, peripherals::PB4>,
+    /// To the host.
+    pub(super) tx: Peri<'static, peripherals::PB3>,
+}
+
+/// The drive, for whoever is at the other end.
+pub struct Link {
+    status: Status,
+    parameters: Parameters,
+    store: Option<ParameterStore<ParameterFlash>>,
+}
+
+impl Link {
+    /// Loads the parameters: those that were saved, or else the defaults, with a fault if there is something wrong with the saved
+    /// ones.
+    pub(super) fn load(flash: Peri<'static, peripherals::FLASH>) -> (Self, Option<Fault>) {
+        let flash = ParameterFlash(Flash::new_blocking(flash));
+        let mut store = ParameterStore::new(flash, REGION).ok();
+        let defaults = defaults::parameters();
+        let loaded = store.as_mut().map(|store| store.load(&defaults));
+        let (parameters, fault) = match loaded {
+            Some(loaded) if loaded.origin != Origin::Unreadable => {
+                match build(&loaded.parameters) {
+                    Ok(_) => (loaded.parameters, None),
+                    Err(_) => (defaults, Some(Fault::BadParameters)),
+                }
+            }
+            _ => (defaults, Some(Fault::BadParameters)),
+        };
+        let status = Status { mode: Mode::Boot, faults: Faults::NONE, limits: Default::default() };
+        (Self { status, parameters, store }, fault)
+    }
+
+    /// For when the control interrupt does not run.
+    pub(super) fn is_dead(&mut self, fault: Fault) {
+        self.status.mode = Mode::Faulted;
+        self.status.faults.latch(fault);
+    }
+
+    /// Serves the port for ever.
+    pub async fn serve(mut self, Port { usart, rx, tx }: Port) {
+        let (mut sending, mut receiving) = ([0; 256], [0; 256]);
+        let mut config = usart::Config::default();
+        config.baudrate = BAUD_RATE;
+        config.eager_reads = Some(1);
+        let port =
+            BufferedUart::new(usart, rx, tx, &mut sending, &mut receiving, Interrupts, config);
+        let Ok(mut port) = port else { return defmt::error!("no serial port") };
+        embassy_stm32::interrupt::USART2.set_priority(Priority::P6);
+        let (mut tx, mut rx) = port.split_ref();
+        let mut session = Session::default();
+        let mut bytes = [0; 64];
+        loop {
+            // An error of the line is a byte less: its frame is dropped, and the host asks again.
+            if let Either::First(Ok(count)) =
+                select(rx.read(&mut bytes), Timer::after_millis(TURN)).await
+            {
+                for byte in bytes.iter().take(count) {
+                    if let Some(frame) = session.receive(*byte, &mut self) {
+                        let _ = tx.write_all(frame).await;
+                    }
+                }
+            }
+            if let Some(frame) = session.telemetry(&mut self) {
+                let _ = tx.write_all(frame).await;
+            }
+        }
+    }
+}
+
+fn change(change: Change) -> Result<(), Refusal<'static>> {
+    if interrupt::change(change) { Ok(()) } else { Err(Refusal::Busy) }
+}
+
+impl Device for Link {
+    fn identity(&self) -> Identity<'static> {
+        Identity {
+            version: VERSION,
+            board: "b-g431b-esc1",
+            firmware: env!("CARGO_PKG_VERSION"),
+            build: BUILD,
+        }
+    }
+
+    /// As of the last command; each request is one.
+    fn status(&self) -> Status {
+        self.status
+    }
+
+    fn parameters(&self) -> Parameters {
+        self.parameters
+    }
+
+    fn command(&mut self, command: Command) -> Result<(), Refusal<'static>> {
+        let answer = interrupt::command(command).ok_or(Refusal::Busy)?;
+        self.status = answer.status;
+        Ok(answer.result?)
+    }
+
+    fn change_controller(&mut self, control: &ControlConfig) -> Result<(), Refusal<'static>> {
+        let drive = DriveConfig { control: *control, ..self.parameters.drive };
+        change(Change::Controller(ReadyController::new(&drive)?))?;
+        self.parameters.drive = drive;
+        Ok(())
+    }
+
+    fn write_parameters(&mut self, parameters: &Parameters) -> Result<(), Refusal<'static>> {
+        let supervisor: Supervisor<f32> = build(parameters)?;
+        change(Change::Supervisor(supervisor))?;
+        self.parameters = *parameters;
+        Ok(())
+    }
+
+    fn save_parameters(&mut self) -> Result<(), Refusal<'static>> {
+        let saved = self.store.as_mut().map(|store| store.save(&self.parameters));
+        if matches!(saved, Some(Ok(()))) { Ok(()) } else { Err(Refusal::NotSaved) }
+    }
+
+    fn set_telemetry(&mut self, decimation: u32) {
+        interrupt::set_telemetry(decimation);
+    }
+
+    fn next_telemetry(&mut self) -> Option<Telemetry> {
+        interrupt::telemetry()
+    }
+}

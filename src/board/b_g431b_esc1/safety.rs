@@ -1,0 +1,82 @@
+//! What ends outputs when the firmware cannot: exceptions, panics, the watchdog; and why the board was reset.
+//!
+//! Everything here ends the outputs first, in the timer's hardware, and then waits for the watchdog. After it the fault is
+//! [`Fault::WatchdogReset`](crate::fault::Fault::WatchdogReset). A core that locks up, a clock that fails and memory errors end the outputs
+//! without any code, by TIM1's break ([`bridge`](super::bridge)).
+
+use super::{bridge, parameter_flash};
+use core::panic::PanicInfo;
+use cortex_m_rt::{ExceptionFrame, exception};
+use embassy_stm32::pac::iwdg::vals::Key;
+use embassy_stm32::pac::{DBGMCU, FLASH, IWDG, RCC};
+use embassy_stm32::wdg::IndependentWatchdog;
+use embassy_stm32::{Peri, peripherals};
+
+/// The watchdog's time (µs). More than the 25 ms for which erasing a page of flash stops the core.
+const WATCHDOG_TIME: u32 = 50_000;
+
+/// Starts the watchdog: from here on it wants to be fed. In a debugger's halt it waits.
+pub(super) fn start_watchdog(watchdog: Peri<'static, peripherals::IWDG>) {
+    DBGMCU.apb1lfzr().modify(|w| w.set_iwdg(true));
+    IndependentWatchdog::new(watchdog, WATCHDOG_TIME).unleash();
+}
+
+/// Holds the watchdog off for another [`WATCHDOG_TIME`].
+pub(super) fn feed_watchdog() {
+    IWDG.kr().write(|w| w.set_key(Key::RESET));
+}
+
+/// Whether the watchdog was what reset the board. Forgotten with the call.
+pub(super) fn take_watchdog_reset() -> bool {
+    let was_it = RCC.csr().read().iwdgrstf();
+    RCC.csr().modify(|w| w.set_rmvf(true));
+    was_it
+}
+
+/// Ends the outputs if the clock fails: it goes to TIM1's break, and to the exception below.
+pub(super) fn watch_clock() {
+    RCC.cr().modify(|w| w.set_csson(true));
+}
+
+fn wait_for_watchdog() -> ! {
+    cortex_m::interrupt::disable();
+    loop {
+        cortex_m::asm::nop();
+    }
+}
+
+#[exception]
+unsafe fn HardFault(_frame: &ExceptionFrame) -> ! {
+    bridge::off();
+    defmt::error!("hard fault");
+    wait_for_watchdog()
+}
+
+/// A clock that failed, or an error in flash that cannot be corrected.
+#[exception]
+unsafe fn NonMaskableInt() {
+    if FLASH.eccr().read().eccd() && parameter_flash::is_reading() {
+        FLASH.eccr().modify(|w| w.set_eccd(true));
+        return;
+    }
+    bridge::off();
+    defmt::error!("clock failure, or an error in flash");
+    wait_for_watchdog()
+}
+
+/// Every other exception, and interrupts that nobody handles.
+#[exception]
+unsafe fn DefaultHandler(number: i16) -> ! {
+    bridge::off();
+    defmt::error!("unexpected exception {=i16}", number);
+    wait_for_watchdog()
+}
+
+#[panic_handler]
+fn panic(info: &PanicInfo) -> ! {
+    bridge::off();
+    if let Some(place) = info.location() {
+        defmt::error!("panic in {=str}, line {=u32}", place.file(), place.line());
+    }
+    wait_for_watchdog()
+}

@@ -1,0 +1,76 @@
+//! One value on its way between a task and an interrupt, either way, without a lock: nobody ever waits.
+#![allow(unsafe_code, reason = "a cell that its state guards")]
+
+use core::cell::UnsafeCell;
+use core::mem::MaybeUninit;
+use core::sync::atomic::{AtomicU8, Ordering};
+
+const EMPTY: u8 = 0;
+const FULL: u8 = 1;
+/// Somebody is at it.
+const BUSY: u8 = 2;
+
+/// Holds a value or none.
+pub(super) struct Slot<T> {
+    state: AtomicU8,
+    value: UnsafeCell<MaybeUninit<T>>,
+}
+
+// SAFETY: only who has changed the state to BUSY touches the value, and nobody else can until they change it on.
+unsafe impl<T: Send> Sync for Slot<T> {}
+
+impl<T> Slot<T> {
+    pub const fn new() -> Self {
+        Self { state: AtomicU8::new(EMPTY), value: UnsafeCell::new(MaybeUninit::uninit()) }
+    }
+
+    /// Puts a value in, unless there is one; tells whether it did.
+    #[inline]
+    pub fn put(&self, value: T) -> bool {
+        let is_ours = self.claim(EMPTY);
+        if is_ours {
+            // SAFETY: the state is BUSY, by this call.
+            unsafe { (*self.value.get()).write(value) };
+            self.state.store(FULL, Ordering::Release);
+        }
+        is_ours
+    }
+
+    /// Takes the value out, if there is one.
+    #[inline]
+    pub fn take(&self) -> Option<T> {
+        if !self.claim(FULL) {
+            return None;
+        }
+        // SAFETY: the state is BUSY, by this call, and was FULL: a value was written, and it is not read again.
+        let value = unsafe { (*self.value.get()).assume_init_read() };
+        self.state.store(EMPTY, Ordering::Release);
+        Some(value)
+    }
+
+    /// Uses the value up where it is, if there is one: for one that is too large to be moved about.
+    #[inline]
+    pub fn use_up(&self, user: impl FnOnce(&mut T)) {
+        if self.claim(FULL) {
+            // SAFETY: the state is BUSY, by this call, and was FULL: a value was written. It ends here.
+            unsafe {
+                let value = &mut *self.value.get();
+                user(value.assume_init_mut());
+                value.assume_init_drop();
+            }
+            self.state.store(EMPTY, Ordering::Release);
+        }
+    }
+
+    /// Whether there is a value, which is cheaper to ask than to take one.
+    #[inline]
+    pub fn is_full(&self) -> bool {
+        self.state.load(Ordering::Relaxed) == FULL
+    }
+
+    fn claim(&self, state: u8) -> bool {
+        let claimed =
+            self.state.compare_exchange(state, BUSY, Ordering::Acquire, Ordering::Relaxed);
+        claimed.is_ok()
+    }
+}

@@ -1,0 +1,179 @@
+//! What a host and a drive say to each other.
+//!
+//! Numbers are in SI units. New requests and answers go at the end of their lists, so that the others keep their codes; a change
+//! of what is there needs another [`VERSION`].
+
+use crate::config::ConfigError;
+use crate::control::ControlConfig;
+use crate::fault::{ActiveLimits, Faults};
+use crate::parameters::Parameters;
+use crate::supervisor::{self, Command, Mode};
+use core::fmt;
+use serde::{Deserialize, Serialize};
+
+/// Version of the messages: host and drive must have the same. Every version has [`Request::Identify`] and its answer.
+pub const VERSION: u16 = 1;
+
+/// A request with its number.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Numbered {
+    /// Chosen by the host; its answer has the same. Consecutive numbers tell a late answer from a wanted one.
+    pub sequence: u16,
+    /// What was asked.
+    pub request: Request,
+}
+
+/// What a host asks. Each request has exactly one answer, and each counts as a sign of life for
+/// [`Protection::command_timeout`](crate::supervisor::Protection::command_timeout).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Request {
+    /// Who are you? Answered by [`Answer::Identity`].
+    Identify,
+    /// What are you doing? Answered by [`Answer::Status`].
+    Status,
+    /// A command; [`Command::KeepAlive`] if there is nothing else to ask.
+    Command(Command),
+    /// Run another controller, or the same with other gains; at any time.
+    ChangeController(ControlConfig),
+    /// Send [`Telemetry`] once in so many periods; zero: never. As from start.
+    SetTelemetry(u32),
+    /// Answered by [`Answer::Parameters`].
+    ReadParameters,
+    /// Go on with these parameters. With outputs off only.
+    WriteParameters(Parameters),
+    /// Keep the parameters that are in force when the power is off. With outputs off only.
+    SaveParameters,
+}
+
+/// What a drive answers.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Answer<'a> {
+    /// Who it is.
+    #[serde(borrow)]
+    Identity(Identity<'a>),
+    /// It was done.
+    Done,
+    /// It was not done.
+    #[serde(borrow)]
+    Refused(Refusal<'a>),
+    /// What it is doing.
+    Status(Status),
+    /// The parameters in force.
+    Parameters(Parameters),
+}
+
+/// What a drive sends.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Message<'a> {
+    /// An answer.
+    Answer {
+        /// Number of the request.
+        sequence: u16,
+        /// What became of it.
+        #[serde(borrow)]
+        answer: Answer<'a>,
+    },
+    /// A period, without being asked each time.
+    Telemetry(Telemetry),
+}
+
+/// Who a drive is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Identity<'a> {
+    /// [`VERSION`] of its messages.
+    pub version: u16,
+    /// The board.
+    pub board: &'a str,
+    /// Version of its firmware.
+    pub firmware: &'a str,
+    /// What the firmware was built from: a commit, if the build knew it.
+    pub build: &'a str,
+}
+
+/// What a drive is doing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Status {
+    /// Whether it drives.
+    pub mode: Mode,
+    /// Why it stopped.
+    pub faults: Faults,
+    /// What it holds back.
+    pub limits: ActiveLimits,
+}
+
+/// A period.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Telemetry {
+    /// Periods since the start; wraps at 2³². A gap tells of telemetry that found no room on the line.
+    pub period: u32,
+    /// Reference speed ω_d (rad/s).
+    pub reference: f32,
+    /// Shaft speed ω, measured or estimated (rad/s).
+    pub speed: f32,
+    /// Armature current i (A), positive when it accelerates in the positive direction.
+    pub current: f32,
+    /// Armature voltage that was asked of the bridge (V); zero with outputs off.
+    pub voltage: f32,
+    /// Bus voltage (V).
+    pub bus_voltage: f32,
+    /// Estimated load torque (N·m), positive when it opposes positive motion.
+    pub load_torque: f32,
+    /// Time that the last control interrupt took (ns).
+    pub interrupt_time: u32,
+    /// Longest time that a control interrupt took since the start (ns).
+    pub longest_interrupt_time: u32,
+}
+
+/// Why a request was refused.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Refusal<'a> {
+    /// It is none that this firmware knows.
+    NotUnderstood,
+    /// It means nothing, or is not allowed, in the mode that the drive is in.
+    Mode(Mode),
+    /// The commanded speed is beyond [`Limits::speed`](crate::drive::Limits::speed), or none.
+    SpeedOutOfRange,
+    /// A value of the configuration; see [`ConfigError`].
+    Config {
+        /// Its name.
+        field: &'a str,
+        /// What it must satisfy.
+        rule: &'a str,
+        /// What it was, in the field's SI unit.
+        value: f32,
+    },
+    /// The one before has not been carried out yet.
+    Busy,
+    /// The flash did not take the parameters. Those that were saved before are still there.
+    NotSaved,
+}
+
+impl From<ConfigError> for Refusal<'static> {
+    fn from(ConfigError { field, rule, value }: ConfigError) -> Self {
+        Self::Config { field, rule, value }
+    }
+}
+
+impl From<supervisor::Refusal> for Refusal<'static> {
+    fn from(refusal: supervisor::Refusal) -> Self {
+        match refusal {
+            supervisor::Refusal::SpeedOutOfRange => Self::SpeedOutOfRange,
+            supervisor::Refusal::Mode(mode) => Self::Mode(mode),
+        }
+    }
+}
+
+impl fmt::Display for Refusal<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::NotUnderstood => f.write_str("the drive's firmware does not know this request"),
+            Self::Mode(mode) => write!(f, "not while the drive is in mode {mode:?}"),
+            Self::SpeedOutOfRange => f.write_str("the speed is beyond limits.speed"),
+            Self::Config { field, rule, value } => write!(f, "{field} {rule}, but is {value:?}"),
+            Self::Busy => f.write_str("the drive is still busy with the request before"),
+            Self::NotSaved => f.write_str(
+                "the flash did not take the parameters; those saved before are still there",
+            ),
+        }
+    }
+}

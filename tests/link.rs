@@ -1,0 +1,491 @@
+//! The link, as a host and a bad line treat it: every whole request has one answer, and nothing else has any.
+
+use proptest::prelude::*;
+use quasidrive::config::ConfigError;
+use quasidrive::control::drive_form::DriveFormConfig;
+use quasidrive::control::ladrc::LadrcConfig;
+use quasidrive::control::paper::{Form, Gains, Law, PaperConfig, Start};
+use quasidrive::control::pi::PiConfig;
+use quasidrive::control::{ControlConfig, Timing};
+use quasidrive::drive::{DriveConfig, Limits};
+use quasidrive::estimate::SpeedSource;
+use quasidrive::fault::{ActiveLimits, Fault, Faults};
+use quasidrive::link::frame::{Decoder, LONGEST, encode};
+use quasidrive::link::message::{
+    Answer, Identity, Message, Numbered, Refusal, Request, Status, Telemetry, VERSION,
+};
+use quasidrive::link::session::{Device, Session};
+use quasidrive::motor::MotorParameters;
+use quasidrive::parameters::Parameters;
+use quasidrive::sense::{Calibration, Reads, Sensors};
+use quasidrive::supervisor::{Command, Mode, Protection};
+use quasidrive::trajectory::Shape;
+
+const PLL: SpeedSource = SpeedSource::Pll { bandwidth: 1e3, fed: true };
+
+fn paper() -> ControlConfig {
+    ControlConfig::Paper(PaperConfig {
+        law: Law::Qismc,
+        gains: Gains::PAPER,
+        form: Form::Explicit,
+        start: Start::Matched,
+        speed: PLL,
+    })
+}
+
+fn controls() -> [ControlConfig; 4] {
+    let timing = Timing { rate: 20_000.0, delay: true };
+    let pi = PiConfig::magnitude_and_symmetrical_optimum(&timing, PLL);
+    [
+        paper(),
+        ControlConfig::Drive(DriveFormConfig::new(1170.0, 0.3, 2.5)),
+        ControlConfig::Pi(PiConfig { disturbance: Some(300.0), ..pi }),
+        ControlConfig::Ladrc(LadrcConfig::by_bandwidth(150.0, &timing, PLL)),
+    ]
+}
+
+/// As many bytes as a set can have.
+fn parameters(control: ControlConfig) -> Parameters {
+    let calibration = Calibration {
+        current_per_code: -0.029,
+        current_zero: 2047.5,
+        bus_voltage_per_code: 0.008,
+        counts_per_turn: i32::MIN,
+        highest_code: u16::MAX,
+        reads: Reads::Edges,
+    };
+    Parameters {
+        drive: DriveConfig {
+            motor: MotorParameters::PAPER,
+            sensors: Sensors::Codes(calibration),
+            control,
+            timing: Timing { rate: 20_000.0, delay: true },
+            limits: Limits {
+                duty: 0.9,
+                speed: 400.0,
+                current: 30.0,
+                current_command: 20.0,
+                bus_min: 9.0,
+                bus_max: 27.0,
+            },
+            shape: Shape::SCurve { acceleration: 1e3, jerk: 1e5 },
+        },
+        protection: Protection {
+            continuous_current: 10.0,
+            thermal_time: 20.0,
+            temperature: 85.0,
+            command_timeout: 1.0,
+            stop_time: 3.0,
+            standstill: 2.0,
+        },
+    }
+}
+
+/// A drive that only remembers what it was told.
+struct Recorder {
+    mode: Mode,
+    parameters: Parameters,
+    commands: Vec<Command>,
+    told: Vec<&'static str>,
+    telemetry: Vec<Telemetry>,
+    refusal: Option<Refusal<'static>>,
+}
+
+impl Recorder {
+    fn new(mode: Mode) -> Self {
+        Self {
+            mode,
+            parameters: parameters(paper()),
+            commands: Vec::new(),
+            told: Vec::new(),
+            telemetry: Vec::new(),
+            refusal: None,
+        }
+    }
+
+    fn done(&mut self, what: &'static str) -> Result<(), Refusal<'static>> {
+        self.told.push(what);
+        self.refusal.map_or(Ok(()), Err)
+    }
+}
+
+impl Device for Recorder {
+    fn identity(&self) -> Identity<'static> {
+        Identity { version: VERSION, board: "a board", firmware: "1.2.3", build: "0123abc" }
+    }
+
+    fn status(&self) -> Status {
+        Status { mode: self.mode, faults: Faults(u32::MAX), limits: ActiveLimits(u32::MAX) }
+    }
+
+    fn parameters(&self) -> Parameters {
+        self.parameters
+    }
+
+    fn command(&mut self, command: Command) -> Result<(), Refusal<'static>> {
+        self.commands.push(command);
+        if command == Command::KeepAlive { Ok(()) } else { self.done("command") }
+    }
+
+    fn change_controller(&mut self, control: &ControlConfig) -> Result<(), Refusal<'static>> {
+        self.parameters.drive.control = *control;
+        self.done("change")
+    }
+
+    fn write_parameters(&mut self, parameters: &Parameters) -> Result<(), Refusal<'static>> {
+        self.parameters = *parameters;
+        self.done("write")
+    }
+
+    fn save_parameters(&mut self) -> Result<(), Refusal<'static>> {
+        self.done("save")
+    }
+
+    fn set_telemetry(&mut self, decimation: u32) {
+        assert_eq!(decimation, 7);
+        self.told.push("telemetry");
+    }
+
+    fn next_telemetry(&mut self) -> Option<Telemetry> {
+        self.telemetry.pop()
+    }
+}
+
+fn frame(sequence: u16, request: Request) -> Vec<u8> {
+    bytes(&Numbered { sequence, request })
+}
+
+fn bytes(message: &impl serde::Serialize) -> Vec<u8> {
+    encode(message, &mut [0; LONGEST]).expect("fits").to_vec()
+}
+
+/// The messages in a stream.
+fn decode(decoder: &mut Decoder, stream: &[u8]) -> Vec<Vec<u8>> {
+    stream.iter().filter_map(|byte| decoder.feed(*byte).map(<[u8]>::to_vec)).collect()
+}
+
+/// Shows a session's answers to a stream to `each`; gives their number.
+fn answers(
+    session: &mut Session,
+    device: &mut Recorder,
+    stream: &[u8],
+    mut each: impl FnMut(u16, Answer),
+) -> usize {
+    let mut count = 0;
+    for byte in stream {
+        let Some(frame) = session.receive(*byte, device).map(<[u8]>::to_vec) else { continue };
+        let messages = decode(&mut Decoder::new(), &frame);
+        assert_eq!(messages.len(), 1, "one frame holds one message");
+        match postcard::from_bytes(&messages[0]).expect("a message") {
+            Message::Answer { sequence, answer } => each(sequence, answer),
+            Message::Telemetry(_) => unreachable!("nobody asked"),
+        }
+        count += 1;
+    }
+    count
+}
+
+/// The answer to one request.
+fn ask(device: &mut Recorder, request: Request, check: impl FnOnce(Answer)) {
+    let mut check = Some(check);
+    let count =
+        answers(&mut Session::default(), device, &frame(0x1234, request), |sequence, answer| {
+            assert_eq!(sequence, 0x1234);
+            check.take().expect("one answer")(answer);
+        });
+    assert_eq!(count, 1);
+}
+
+#[test]
+fn every_request_has_its_answer() {
+    let mut device = Recorder::new(Mode::Ready);
+    let identity = device.identity();
+    ask(&mut device, Request::Identify, |answer| assert_eq!(answer, Answer::Identity(identity)));
+    let status = device.status();
+    ask(&mut device, Request::Status, |answer| assert_eq!(answer, Answer::Status(status)));
+    let set = device.parameters();
+    ask(&mut device, Request::ReadParameters, |answer| assert_eq!(answer, Answer::Parameters(set)));
+    for control in controls() {
+        let changed = parameters(control);
+        let done = |answer: Answer| assert_eq!(answer, Answer::Done);
+        ask(&mut device, Request::ChangeController(control), done);
+        assert_eq!(device.parameters.drive.control, control);
+        ask(&mut device, Request::WriteParameters(changed), done);
+        assert_eq!(device.parameters, changed);
+    }
+    for request in
+        [Request::SetTelemetry(7), Request::SaveParameters, Request::Command(Command::Arm)]
+    {
+        ask(&mut device, request, |answer| assert_eq!(answer, Answer::Done));
+    }
+    assert_eq!(device.told[8..], ["telemetry", "save", "command"]);
+}
+
+#[test]
+fn every_request_is_a_sign_of_life() {
+    let mut device = Recorder::new(Mode::Running);
+    for request in [
+        Request::Identify,
+        Request::Status,
+        Request::ReadParameters,
+        Request::SetTelemetry(7),
+        Request::SaveParameters,
+        Request::Command(Command::KeepAlive),
+        Request::Command(Command::Speed(12.5)),
+    ] {
+        device.commands.clear();
+        ask(&mut device, request, |_| {});
+        assert_eq!(device.commands[0], Command::KeepAlive, "{request:?}");
+        match request {
+            Request::Command(Command::Speed(_)) => {
+                assert_eq!(device.commands[1..], [Command::Speed(12.5)]);
+            }
+            _ => assert_eq!(device.commands[1..], [], "{request:?}"),
+        }
+    }
+    device.commands.clear();
+    let garbage = [0, 1, 2, 3, 0, 255, 255, 0];
+    assert_eq!(answers(&mut Session::default(), &mut device, &garbage, |_, _| {}), 0);
+    assert_eq!(device.commands, [], "garbage is no sign of life");
+}
+
+#[test]
+fn parameters_are_written_and_saved_with_outputs_off_only() {
+    for (mode, is_off) in [
+        (Mode::Boot, false),
+        (Mode::Calibrating, false),
+        (Mode::Ready, true),
+        (Mode::Armed, false),
+        (Mode::Running, false),
+        (Mode::Stopping, false),
+        (Mode::Faulted, true),
+    ] {
+        for request in [Request::WriteParameters(parameters(paper())), Request::SaveParameters] {
+            let mut device = Recorder::new(mode);
+            let expected = if is_off { Answer::Done } else { Answer::Refused(Refusal::Mode(mode)) };
+            ask(&mut device, request, |answer| assert_eq!(answer, expected));
+            assert_eq!(device.told.len(), usize::from(is_off), "{mode:?}");
+        }
+    }
+}
+
+#[test]
+fn a_refusal_names_its_reason() {
+    let config: Refusal = ConfigError {
+        field: "control.observer_bandwidth",
+        rule: "must be at most 0.13 of the sampling rate",
+        value: 1e9,
+    }
+    .into();
+    for refusal in [config, Refusal::Busy, Refusal::SpeedOutOfRange, Refusal::Mode(Mode::Boot)] {
+        let mut device = Recorder::new(Mode::Ready);
+        device.refusal = Some(refusal);
+        for request in [
+            Request::Command(Command::Arm),
+            Request::ChangeController(paper()),
+            Request::WriteParameters(parameters(paper())),
+            Request::SaveParameters,
+        ] {
+            ask(&mut device, request, |answer| assert_eq!(answer, Answer::Refused(refusal)));
+        }
+    }
+    assert_eq!(
+        config.to_string(),
+        "control.observer_bandwidth must be at most 0.13 of the sampling rate, but is 1000000000.0"
+    );
+}
+
+#[test]
+fn a_request_of_a_later_version_is_refused() {
+    let not_understood = |stream: &[u8]| {
+        let mut device = Recorder::new(Mode::Ready);
+        let count = answers(&mut Session::default(), &mut device, stream, |sequence, answer| {
+            assert_eq!(sequence, 300);
+            assert_eq!(answer, Answer::Refused(Refusal::NotUnderstood));
+        });
+        assert_eq!(count, 1);
+        assert_eq!(device.commands, [], "and is no sign of life");
+    };
+    not_understood(&bytes(&(300_u16, 99_u8)));
+    not_understood(&bytes(&(300_u16, 99_u8, [1_u8, 2, 3])));
+    // Longer than what is known, and shorter.
+    not_understood(&bytes(&(300_u16, Request::Status, 1_u8)));
+    not_understood(&bytes(&(300_u16, 2_u8)));
+}
+
+#[test]
+fn telemetry_comes_when_asked_for_between_answers() {
+    let mut device = Recorder::new(Mode::Running);
+    let mut session = Session::default();
+    assert!(session.telemetry(&mut device).is_none());
+    let telemetry =
+        Telemetry { period: 9, speed: -1.5, interrupt_time: 3000, ..Default::default() };
+    device.telemetry = vec![telemetry];
+    let request = frame(1, Request::Status);
+    let (begin, end) = request.split_at(3);
+    // In the middle of a request's arrival too.
+    assert_eq!(answers(&mut session, &mut device, begin, |_, _| {}), 0);
+    let sent = session.telemetry(&mut device).expect("waiting").to_vec();
+    let messages = decode(&mut Decoder::new(), &sent);
+    assert_eq!(postcard::from_bytes(&messages[0]), Ok(Message::Telemetry(telemetry)));
+    assert_eq!(answers(&mut session, &mut device, end, |_, _| {}), 1);
+    assert!(session.telemetry(&mut device).is_none());
+}
+
+#[test]
+fn the_longest_message_fits() {
+    for control in controls() {
+        let set = parameters(control);
+        assert!(frame(u16::MAX, Request::WriteParameters(set)).len() <= LONGEST);
+        let answer = Message::Answer { sequence: u16::MAX, answer: Answer::Parameters(set) };
+        assert!(bytes(&answer).len() <= LONGEST);
+    }
+    let text = "x".repeat(LONGEST);
+    assert_eq!(encode(&text.as_str(), &mut [0; LONGEST]), None, "what does not fit is no frame");
+}
+
+#[test]
+fn faults_have_their_numbers_on_the_line() {
+    let mut faults = Faults::NONE;
+    faults.latch(Fault::CommandLost);
+    let status = Status { mode: Mode::Faulted, faults, limits: ActiveLimits::NONE };
+    let mut buffer = [0; 16];
+    let sent = postcard::to_slice(&status, &mut buffer).expect("fits");
+    // Mode 6, then 1 << 14 and 0 as variable-length integers.
+    assert_eq!(sent, [6, 0x80, 0x80, 0x01, 0]);
+}
+
+#[test]
+fn nothing_is_no_message() {
+    // A checksum of zero over nothing, stuffed.
+    assert_eq!(decode(&mut Decoder::new(), &[1, 1, 1, 1, 1, 0]), Vec::<Vec<u8>>::new());
+    assert_eq!(decode(&mut Decoder::new(), &[0; 9]), Vec::<Vec<u8>>::new());
+}
+
+fn any_request() -> impl Strategy<Value = Request> {
+    let number = any::<f32>();
+    prop_oneof![
+        Just(Request::Identify),
+        Just(Request::Status),
+        Just(Request::ReadParameters),
+        Just(Request::SetTelemetry(7)),
+        number.prop_map(|speed| Request::Command(Command::Speed(speed))),
+        Just(Request::Command(Command::Arm)),
+        (0_usize..4).prop_map(|index| Request::ChangeController(controls()[index])),
+        (0_usize..4).prop_map(|index| Request::WriteParameters(parameters(controls()[index]))),
+    ]
+}
+
+/// What a line can do to a frame's bytes.
+#[derive(Clone, Debug)]
+enum Mutation {
+    Flip { place: prop::sample::Index, bit: u8 },
+    Replace { place: prop::sample::Index, byte: u8 },
+    Insert { place: prop::sample::Index, byte: u8 },
+    Remove { place: prop::sample::Index },
+    Truncate { place: prop::sample::Index },
+    Swap { place: prop::sample::Index, other: prop::sample::Index },
+}
+
+fn any_mutation() -> impl Strategy<Value = Mutation> {
+    let place = any::<prop::sample::Index>;
+    prop_oneof![
+        (place(), 0_u8..8).prop_map(|(place, bit)| Mutation::Flip { place, bit }),
+        (place(), any::<u8>()).prop_map(|(place, byte)| Mutation::Replace { place, byte }),
+        (place(), any::<u8>()).prop_map(|(place, byte)| Mutation::Insert { place, byte }),
+        place().prop_map(|place| Mutation::Remove { place }),
+        place().prop_map(|place| Mutation::Truncate { place }),
+        (place(), place()).prop_map(|(place, other)| Mutation::Swap { place, other }),
+    ]
+}
+
+impl Mutation {
+    fn apply(&self, bytes: &mut Vec<u8>) {
+        if bytes.is_empty() {
+            return;
+        }
+        let length = bytes.len();
+        match self {
+            Self::Flip { place, bit } => bytes[place.index(length)] ^= 1 << bit,
+            Self::Replace { place, byte } => bytes[place.index(length)] = *byte,
+            Self::Insert { place, byte } => bytes.insert(place.index(length), *byte),
+            Self::Remove { place } => drop(bytes.remove(place.index(length))),
+            Self::Truncate { place } => bytes.truncate(place.index(length)),
+            Self::Swap { place, other } => bytes.swap(place.index(length), other.index(length)),
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(2000))]
+
+    #[test]
+    fn garbage_is_no_message(stream in prop::collection::vec(any::<u8>(), 0..2000)) {
+        prop_assert_eq!(decode(&mut Decoder::new(), &stream), Vec::<Vec<u8>>::new());
+    }
+
+    /// Garbage of many short frames: a byte in three is a zero.
+    #[test]
+    fn short_garbage_is_no_message(
+        stream in prop::collection::vec(prop_oneof![Just(0_u8), any::<u8>(), 1_u8..9], 0..2000),
+    ) {
+        prop_assert_eq!(decode(&mut Decoder::new(), &stream), Vec::<Vec<u8>>::new());
+    }
+
+    #[test]
+    fn a_changed_frame_is_dropped(
+        sequence: u16,
+        request in any_request(),
+        mutations in prop::collection::vec(any_mutation(), 1..4),
+    ) {
+        let original = frame(sequence, request);
+        let mut changed = original.clone();
+        for mutation in &mutations {
+            mutation.apply(&mut changed);
+        }
+        changed.push(0);
+        let message = decode(&mut Decoder::new(), &original).remove(0);
+        for decoded in decode(&mut Decoder::new(), &changed) {
+            prop_assert_eq!(&decoded, &message, "only what was sent");
+        }
+    }
+
+    #[test]
+    fn whole_requests_have_one_answer_each_whatever_is_between_them(
+        parts in prop::collection::vec(
+            (prop::collection::vec(any::<u8>(), 0..600), any_request(), any_mutation()),
+            1..6,
+        ),
+    ) {
+        const CHANGED: u16 = 1000;
+        let mut stream = Vec::new();
+        for (sequence, (garbage, request, mutation)) in (0..).zip(&parts) {
+            let mut changed = frame(CHANGED, *request);
+            mutation.apply(&mut changed);
+            stream.extend(garbage);
+            stream.extend(changed);
+            stream.extend(frame(sequence, *request));
+        }
+        let mut device = Recorder::new(Mode::Ready);
+        let mut answered = Vec::new();
+        answers(&mut Session::default(), &mut device, &stream, |sequence, _| answered.push(sequence));
+        // A mutation may change nothing, or a zero at an end only.
+        answered.retain(|sequence| *sequence != CHANGED);
+        prop_assert_eq!(answered, (0..parts.len() as u16).collect::<Vec<_>>());
+    }
+}
+
+#[test]
+fn an_overlong_frame_costs_no_memory_and_harms_no_other() {
+    assert!(size_of::<Decoder>() <= LONGEST + 16);
+    let mut decoder = Decoder::new();
+    for length in [LONGEST - 1, LONGEST, LONGEST + 1, 1_000_000] {
+        let overlong = vec![0x55; length];
+        assert_eq!(decode(&mut decoder, &overlong), Vec::<Vec<u8>>::new());
+        let whole = frame(5, Request::Status);
+        assert_eq!(decode(&mut decoder, &whole).len(), 1, "{length}");
+        // Its end is no frame either, whatever it looks like.
+        assert_eq!(decode(&mut decoder, &overlong), Vec::<Vec<u8>>::new());
+        assert_eq!(decode(&mut decoder, &whole[1..]).len(), 0, "{length}");
+    }
+}
