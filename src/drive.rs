@@ -167,8 +167,7 @@ impl<S: Scalar> Drive<S> {
             controller,
             sensing: Sensing::new(&config.sensors, limits, timing.rate, &bases)?,
             shaper: Shaper::new(config.shape, timing.rate, &bases)?,
-            // Less by what rounding may add to the quotient.
-            duty_limit: S::from_f32(limits.duty * (1.0 - 2.0 * f32::EPSILON), Base::RATIO),
+            duty_limit: S::from_f32(limits.duty, Base::RATIO),
             speed_limit: S::from_f32(limits.speed, speed),
             advance_limit: S::from_f32(advance, angle),
             current_limit: S::from_f32(limits.current, current),
@@ -292,7 +291,8 @@ impl<S: Scalar> Drive<S> {
             return self.refuse(Fault::ModelMismatch);
         }
         self.voltage = voltage.limited(self.duty_limit.of(measured.bus_voltage));
-        BridgeCommand::Duty(self.voltage.ratio(measured.bus_voltage, self.headroom))
+        let duty = self.voltage.ratio(measured.bus_voltage, self.duty_limit, self.headroom);
+        BridgeCommand::Duty(duty)
     }
 
     /// Follows the motor with the bridge off or, once armed, starts from what was followed: without a jump of reference,

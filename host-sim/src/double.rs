@@ -131,8 +131,8 @@ impl Scalar for Double {
         Self(self.0 * f64::from(numerator) / f64::from(denominator))
     }
 
-    fn ratio(self, whole: Self, _headroom: u32) -> Self {
-        Self(self.0 / whole.0)
+    fn ratio(self, whole: Self, limit: Self, _headroom: u32) -> Self {
+        Self(self.0 / whole.0).limited(limit)
     }
 
     fn of(self, whole: Self) -> Self {

@@ -254,7 +254,7 @@ fn bench_plays_a_case_by_every_controller() {
     assert!(output.stderr.is_empty(), "no progress bar in a pipe");
     let board: Value = serde_json::from_slice(&output.stdout).expect("one JSON object");
     let played = board["cases"].as_array().expect("cases");
-    assert_eq!(played.len(), 10);
+    assert_eq!(played.len(), 13);
     let figure = |player: &str, name: &str| {
         let of = played.iter().find(|at| at["player"] == player).expect(player);
         assert_eq!((&of["case"], &of["failed"]), (&"load steps".into(), &0.into()), "{player}");

@@ -191,7 +191,8 @@ struct Resumption {
     reserve: f32,
     /// ε2 (A).
     reserve_layer: f32,
-    bases: Bases,
+    /// Of speed, acceleration, current and voltage.
+    bases: [Base; 4],
 }
 
 /// The mismatch at which an injection counts as exhausted, in boundary layers: tanh is 0.995 there.
@@ -295,7 +296,7 @@ impl<S: Scalar> DriveForm<S> {
                 layer: epsilon1,
                 reserve: voltage_reserve,
                 reserve_layer: epsilon2,
-                bases: *bases,
+                bases: [w, a, i, v],
             },
         })
     }
@@ -349,15 +350,16 @@ impl<S: Scalar> DriveForm<S> {
         self.start(measured, reference);
         let modelled = S::combine(&self.modelled, [current + current, speed]);
         let Resumption { strength, layer, reserve, reserve_layer, bases } = self.resumption;
+        let [w, a, i, v] = bases;
         // The mismatch at which the injection is this share.
         let held = |share: f32, layer: f32| layer * atanh(share.clamp(-0.99, 0.99));
-        let share = (reference.acceleration - modelled).to_f32(bases.acceleration) / strength;
-        self.speed_mismatch = S::from_f32(held(share, layer), bases.speed);
+        let share = (reference.acceleration - modelled).to_f32(a) / strength;
+        self.speed_mismatch = S::from_f32(held(share, layer), w);
         let injection = self.disturbance_injection.value(self.speed_mismatch);
         self.disturbance = S::combine(&self.k1, [injection]);
         let needed = S::combine(&self.holding, [current, speed]);
-        let share = (needed - acting).to_f32(bases.voltage) / reserve;
-        self.current_mismatch = S::from_f32(held(share, reserve_layer), bases.current);
+        let share = (needed - acting).to_f32(v) / reserve;
+        self.current_mismatch = S::from_f32(held(share, reserve_layer), i);
     }
 
     // Not inlined, for its instructions to be counted apart from its caller's.

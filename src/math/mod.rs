@@ -129,9 +129,10 @@ pub trait Scalar:
     /// numerator/denominator of a signal; fixed point saturates at a quarter of its base. For comparison: it divides.
     fn fraction(self, numerator: i16, denominator: i16) -> Self;
 
-    /// This as a share of `whole`, a positive signal of the same base and not smaller. Fixed point resolves 2⁻¹⁵ of 1 and rounds
-    /// towards 0; `whole` must stay within 2⁻`headroom` of the base, from 1 to 16.
-    fn ratio(self, whole: Self, headroom: u32) -> Self;
+    /// This as a share of `whole`, a positive signal of the same base of which it is not more than `limit`; nor is the share, however
+    /// it is rounded. Fixed point resolves 2⁻¹⁵ of 1 and rounds towards 0; `whole` must stay within 2⁻`headroom` of the
+    /// base, from 1 to 16.
+    fn ratio(self, whole: Self, limit: Self, headroom: u32) -> Self;
 
     /// This ratio's share of `whole`, of which fixed point expects a quarter of the base at most.
     fn of(self, whole: Self) -> Self;
