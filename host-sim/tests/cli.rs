@@ -270,7 +270,8 @@ fn bench_plays_a_case_by_every_controller() {
     assert!(shifted != dip && (0.7..1.2).contains(&shifted), "{shifted} rad/s with shifted reads");
     for matched in board["matched"].as_array().expect("matched") {
         let ripple = matched["figures"]["ripple"].as_f64().expect("matched");
-        assert!((8e-3..=10e-3).contains(&ripple), "{matched}");
+        // Fixed point is set as floating point is, and ripples a little more.
+        assert!((8e-3..=10.5e-3).contains(&ripple), "{matched}");
     }
     assert_eq!(board["fronts"], Value::Array(Vec::new()), "nothing was searched");
 }

@@ -1,7 +1,7 @@
 //! The number that the loop computes in, and the only door to transcendental functions.
 //!
 //! The loop itself needs no more than [`Scalar`]: additions, products with gains and a table, in a fixed order, so that a PC and a
-//! microcontroller compute the same bits, in floating point (`f32`, [`float`]) as in fixed point ([`Q31`]). [`tanh`] is
+//! microcontroller compute the same bits, in floating point (`f32`) as in fixed point ([`Q31`]). [`tanh`] is
 //! for configuration time; it comes from `libm`, not from micromath, whose approximations are coarser than the tables
 //! that are built with it.
 

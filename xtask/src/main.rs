@@ -114,7 +114,7 @@ fn host_sim(arguments: &[&str]) -> Result<()> {
 }
 
 /// The drive in QEMU, held to the host's bits: the paper's whole cycle for each of its controllers; a second of it on a board's
-/// sensors for every other; and the other core, which runs the same image.
+/// sensors for every other; the other core, which runs the same image; and all controllers on the cores without an FPU.
 fn processor_in_the_loop() -> Result<()> {
     let play = |scenario: &str, controller: &str, machine: &str, more: &[&str]| {
         let file = format!("host-sim/scenarios/{scenario}.toml");
@@ -127,7 +127,17 @@ fn processor_in_the_loop() -> Result<()> {
     for controller in ["drive-qsmdo", "drive-qismc", "pi", "ladrc"] {
         play("encoder", controller, "mps2-an386", &["--duration", "1"])?;
     }
-    play("load-step", "bs-qsmdo", "mps2-an500", &["--duration", "2"])
+    play("load-step", "bs-qsmdo", "mps2-an500", &["--duration", "2"])?;
+    for machine in ["mps2-an385", "microbit"] {
+        play("paper", "bs-qsmdo", machine, &["--duration", "2"])?;
+        for controller in ["bs", "bs-qismc"] {
+            play("paper", controller, machine, &["--duration", "0.5"])?;
+        }
+        for controller in ["drive-qsmdo", "drive-qismc", "pi", "ladrc"] {
+            play("encoder", controller, machine, &["--duration", "0.5"])?;
+        }
+    }
+    Ok(())
 }
 
 fn test(toolchain: ToolchainChoice) -> Result<()> {
