@@ -157,8 +157,10 @@ pub struct Sensing<S: Scalar> {
 
 #[derive(Clone, Debug)]
 struct Encoder<S: Scalar> {
-    /// Sum of the last sample's reads, of 16 that count.
-    before: u16,
+    /// The last sample's last read.
+    last: u16,
+    /// How far the mean of its reads lay behind (sixteenths of a count).
+    behind: i16,
     reads: Reads,
     edges: Edges<S>,
 }
@@ -271,7 +273,8 @@ impl<S: Scalar> Sensing<S> {
         let count_per_read = calibration.count() * rate * READS as f32;
         Ok(Self {
             encoder: Some(Encoder {
-                before: 0,
+                last: 0,
+                behind: 0,
                 reads: calibration.reads,
                 edges: Edges {
                     before: None,
@@ -325,25 +328,26 @@ impl<S: Scalar> Sensing<S> {
 }
 
 impl<S: Scalar> Encoder<S> {
-    /// Sums modulo 2¹⁶ differ by the true difference as long as that is below 2¹⁵, whatever has wrapped: no angle is kept.
+    /// No angle is kept: from one sample to the next the last read moves by less than 2¹⁵ counts, whatever has wrapped, and the mean
+    /// of the reads lies behind it by less than 2¹¹.
     #[inline]
     fn read(&mut self, codes: &Codes) -> Rotation<S> {
         let last = codes.encoder[READS - 1];
-        let sixteen_times = |read: u16| read.wrapping_mul(READS as u16);
-        let (sum, of_last) = match self.reads {
-            Reads::All | Reads::Shifted => (
-                codes.encoder.iter().fold(0, |sum: u16, read| sum.wrapping_add(*read)),
-                sixteen_times(last),
-            ),
-            Reads::Last | Reads::Edges => (sixteen_times(last), sixteen_times(last)),
+        let behind = match self.reads {
+            Reads::All | Reads::Shifted => {
+                let sum = codes.encoder.iter().fold(0, |sum: u16, read| sum.wrapping_add(*read));
+                sum.wrapping_sub(last.wrapping_mul(READS as u16)) as i16
+            }
+            Reads::Last | Reads::Edges => 0,
         };
-        let counts = |difference: u16| S::from_sixteenths(difference as i16);
+        let moved = i32::from(last.wrapping_sub(self.last) as i16) * READS as i32;
         let rotation = Rotation {
-            advance: counts(sum.wrapping_sub(self.before)),
-            behind: counts(sum.wrapping_sub(of_last)),
+            advance: S::from_sixteenths(moved + i32::from(behind) - i32::from(self.behind)),
+            behind: S::from_sixteenths(behind.into()),
             shift: if self.reads == Reads::Shifted { codes.shift } else { 0 },
         };
-        self.before = sum;
+        self.last = last;
+        self.behind = behind;
         rotation
     }
 }
@@ -426,6 +430,20 @@ mod tests {
                 let expected = 16.0 * per_read as f32 * COUNT;
                 let error = (turned / expected - 1.0).abs();
                 assert!(error < 1e-6, "{per_read} a read, period {period}: {turned}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_jump_by_any_number_of_counts_is_told() {
+        for reads in [Reads::All, Reads::Shifted, Reads::Last] {
+            for jump in [2048, 4096, -4096, 8192, 12_288, -20_480] {
+                let mut sensing = sensing(Calibration { reads, ..GOOD });
+                advance(&mut sensing, [123; READS]);
+                let to = 123_u16.wrapping_add(jump as u16);
+                let turned = advance(&mut sensing, [to; READS]);
+                assert!((turned / (jump as f32 * COUNT) - 1.0).abs() < 1e-6, "{reads:?}, {jump}");
+                assert_eq!(advance(&mut sensing, [to; READS]), 0.0);
             }
         }
     }

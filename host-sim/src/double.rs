@@ -63,7 +63,7 @@ impl Scalar for Double {
         Self(code.into())
     }
 
-    fn from_sixteenths(difference: i16) -> Self {
+    fn from_sixteenths(difference: i32) -> Self {
         Self(f64::from(difference) / 16.0)
     }
 

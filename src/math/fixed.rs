@@ -76,6 +76,9 @@ const SEGMENTS: usize = 64;
 /// The base of positions.
 const POSITION: Base = Base(32_768.0);
 
+/// Counts of half a revolution of a counter, in sixteenths.
+const MOST_SIXTEENTHS: i32 = 1 << 18;
+
 /// 1 as a [ratio](Base::RATIO).
 const ONE: i32 = 1 << 30;
 
@@ -193,8 +196,8 @@ impl Scalar for Q31 {
     }
 
     #[inline]
-    fn from_sixteenths(difference: i16) -> Self {
-        Self(i32::from(difference) << 12)
+    fn from_sixteenths(difference: i32) -> Self {
+        Self(difference.clamp(-MOST_SIXTEENTHS, MOST_SIXTEENTHS) << 12)
     }
 
     fn gains<const N: usize>(

@@ -51,8 +51,8 @@ impl Scalar for f32 {
     }
 
     #[inline]
-    fn from_sixteenths(difference: i16) -> f32 {
-        f32::from(difference) * (1.0 / 16.0)
+    fn from_sixteenths(difference: i32) -> f32 {
+        difference as f32 * (1.0 / 16.0)
     }
 
     fn gains<const N: usize>(

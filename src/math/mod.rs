@@ -77,8 +77,8 @@ pub trait Scalar:
     /// A converter's code, in [`Base::CODE`].
     fn from_code(code: u16) -> Self;
 
-    /// A difference of counts in sixteenths, in [`Base::COUNT`].
-    fn from_sixteenths(difference: i16) -> Self;
+    /// A difference of counts in sixteenths, within ±2²⁰, in [`Base::COUNT`]; fixed point saturates at a half of that.
+    fn from_sixteenths(difference: i32) -> Self;
 
     /// The gains of [`combine`](Self::combine), each with the base of its signal. Fixed point rounds them to 2⁻¹⁶ of their sum or
     /// so, and refuses more than a half in all.
