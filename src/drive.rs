@@ -9,7 +9,7 @@ use crate::control::{ControlConfig, Controller, Decision, Ranges, Setting, Signa
 pub use crate::fault::Fault;
 use crate::hal::{Board, BridgeCommand, Sample};
 pub use crate::limits::Limits;
-use crate::math::{Base, Scalar, log2_ceil};
+use crate::math::{Base, Scalar};
 use crate::motor::MotorParameters;
 use crate::per_unit::Bases;
 use crate::sense::{Measured, Rotation, Sensing, Sensors};
@@ -186,7 +186,7 @@ impl<S: Scalar> Drive<S> {
             modelled: S::gains("motor", modelled, voltage)?,
             minus_inertia: S::gains("motor.inertia", [(-inertia, acceleration)], torque)?,
             measured: [S::ZERO; 2],
-            headroom: log2_ceil(voltage.0 / limits.bus_max) as u32,
+            headroom: S::headroom("limits.bus_max", limits.bus_max, voltage)?,
             bases,
         })
     }

@@ -127,19 +127,21 @@ pub(crate) struct AngleObserver<S: Scalar> {
     /// Estimated angle less that of the reads' mean (in units of the rotation, as all angles here).
     lead: S,
     /// Angle per speed and acceleration over the period.
-    turned: S::Gains<2>,
+    turned: S::Steep<2>,
     /// Speed per acceleration over the period (s).
     time: S::Time,
     /// Angle per speed and acceleration over the reads' age.
-    aged: S::Gains<2>,
+    aged: S::Steep<2>,
     /// Angle per speed between two reads, and per acceleration that was less then.
-    distance: S::Gains<2>,
+    distance: S::Steep<2>,
     /// Share of the mean's innovation in that of the reads.
     share: S::Gains<1>,
     /// Speed below which the mean's counts alone (rad/s).
     slow: S,
     /// From the edge below a counter's reads to where they are in the mean: half a count, or nothing.
     offset: S,
+    /// What the lead is limited to: further, the observer is lost.
+    farthest: S,
     angle_gain: S::Steep<1>,
     speed_gain: S::Steep<1>,
 }
@@ -161,7 +163,7 @@ impl<S: Scalar> AngleObserver<S> {
         let distance = period / READS as f32;
         let angle_of = |of_speed: f32, of_acceleration: f32| {
             let gains = [(of_speed / unit, speed), (of_acceleration / unit, acceleration)];
-            S::gains("sensors", gains, angle)
+            S::steep("sensors", gains, angle)
         };
         let angle_gain = g1 + age * (g2 + 0.5 * age * g3);
         let speed_gain = (g2 + age * g3) * unit;
@@ -175,6 +177,7 @@ impl<S: Scalar> AngleObserver<S> {
             share: S::gains("sensors", [(0.1, angle)], angle)?,
             slow: S::from_f32(0.05 * unit.abs() / period, speed),
             offset,
+            farthest: S::from_f32(0.25 * angle.0, angle),
             angle_gain: S::steep("control.observer_bandwidth", [(angle_gain, angle)], angle)?,
             speed_gain: S::steep("control.observer_bandwidth", [(speed_gain, angle)], speed)?,
         })
@@ -183,14 +186,14 @@ impl<S: Scalar> AngleObserver<S> {
     /// Goes on from a known speed (rad/s).
     pub fn resume(&mut self, speed: S) {
         self.speed = speed;
-        self.lead = S::combine(&self.aged, [speed, S::ZERO]) + self.offset;
+        self.lead = S::amplify(&self.aged, [speed, S::ZERO]) + self.offset;
     }
 
     /// On to the next sample, with the mean acceleration since (rad/s²).
     #[inline]
     fn predict(&mut self, rotation: &Rotation<S>, acceleration: S) {
-        let turned = S::accumulate(&self.turned, [self.speed, acceleration]);
-        self.lead = self.lead + (turned - rotation.advance);
+        let turned = S::amplify(&self.turned, [self.speed, acceleration]);
+        self.lead = (self.lead + (turned - rotation.advance)).limited(self.farthest);
         self.speed = self.speed + acceleration.over::<ACCELERATION>(self.time);
     }
 
@@ -220,12 +223,12 @@ impl<S: Scalar> AngleObserver<S> {
     /// What the shaft turned from one read to the next.
     #[inline]
     fn distance(&self, acceleration: S) -> S {
-        S::combine(&self.distance, [self.speed, acceleration])
+        S::amplify(&self.distance, [self.speed, acceleration])
     }
 
     #[inline]
     fn innovation_of_mean(&self, distance: S, rotation: &Rotation<S>, acceleration: S) -> S {
-        let expected = S::combine(&self.aged, [self.speed, acceleration]);
+        let expected = S::amplify(&self.aged, [self.speed, acceleration]);
         expected + distance.part(rotation.shift) + self.offset - self.lead
     }
 

@@ -8,7 +8,7 @@
 //! which is within twice the limit. A sixteenth of full scale for the limit of the speed leaves the difference of two
 //! speeds, which jump from one end to the other, below a quarter. Currents have 32 times their limit, since what the
 //! voltage observer remembers is a current too. The base of accelerations takes 2.5 times that current's, that of voltages four
-//! times what full scales of speed, current and jerk take together, and sixteen times the highest bus.
+//! times what full scales of speed and current take together, and sixteen times the highest bus.
 //!
 //! **Time.** Full scale of the speed is a power of two in counts per period, and each derivative's is [a power of
 //! two](ACCELERATION) times the sampling rate of the one before: what the clock and the encoder multiply by is a power of two,
@@ -58,12 +58,17 @@ impl Bases {
         positive("sensors.counts_per_turn", unit)?;
         let current = 32.0 * limits.current;
         let [per_acceleration, per_jerk] = [ACCELERATION, JERK].map(|by| rate / (1 << by) as f32);
-        let needed = (16.0 * limits.speed).max(2.5 * a2 * current / per_acceleration);
+        // A coarse encoder's count between two reads is a high speed.
+        let count = match sensors {
+            Sensors::Exact => 0.0,
+            Sensors::Codes(_) => 64.0 * unit * rate,
+        };
+        let needed = (16.0 * limits.speed).max(2.5 * a2 * current / per_acceleration).max(count);
         let speed = unit * rate * above(needed / (unit * rate));
         let acceleration = per_acceleration * speed;
         let jerk = per_jerk * acceleration;
-        // Full scale of all that takes a voltage, at once and four times.
-        let largest = inductance * (a3 * speed + a4 * current + jerk / a2);
+        // Full scale of what holds a speed and a current, at once and four times.
+        let largest = inductance * (a3 * speed + a4 * current);
         let headroom = above((4.0 * largest / limits.bus_max).max(16.0));
         Ok(Self {
             speed: Base(speed),

@@ -95,13 +95,14 @@ impl<S: Scalar> Shaper<S> {
                 )?;
                 // A double integrator over a held jerk, with both poles placed where e^(−w·h) puts them.
                 let decay = -exp_m1(-bandwidth * period);
+                let field = "reference.bandwidth";
                 let stiffness = -decay * decay / (period * period);
                 let damping = -(2.0 * decay - 0.5 * decay * decay) / period;
                 // From one end of the speeds to the other, and back before it is there.
                 let way = 0.25 * speed.0;
+                S::constant(field, 0.5 * bandwidth * bandwidth * way, of_jerk)?;
                 let fine = fine_for(bandwidth * way, bandwidth * bandwidth * way);
                 let (acceleration, jerk) = (of_acceleration.finer(fine), of_jerk.finer(fine));
-                let field = "reference.bandwidth";
                 let kind = Kind::SecondOrder {
                     stiffness: S::steep(field, [(stiffness, speed)], jerk)?,
                     damping: S::steep(field, [(damping, acceleration)], jerk)?,
@@ -117,6 +118,9 @@ impl<S: Scalar> Shaper<S> {
                     "must be at most reference.acceleration a sampling period",
                     jerk,
                 )?;
+                // A quarter is there for either.
+                S::constant("reference.acceleration", 2.0 * acceleration, of_acceleration)?;
+                S::constant("reference.jerk", 2.2 * jerk, of_jerk)?;
                 let fine = fine_for(acceleration, 1.1 * jerk);
                 let bases = [speed, of_acceleration.finer(fine), of_jerk.finer(fine)];
                 (Kind::SCurve(SCurve::new(acceleration, jerk, period, bases)), fine)

@@ -131,6 +131,10 @@ impl Scalar for Double {
         Self(self.0 * f64::from(numerator) / f64::from(denominator))
     }
 
+    fn headroom(_field: &'static str, _largest: f32, _base: Base) -> Result<u32, ConfigError> {
+        Ok(0)
+    }
+
     fn ratio(self, whole: Self, limit: Self, _headroom: u32) -> Self {
         Self(self.0 / whole.0).limited(limit)
     }

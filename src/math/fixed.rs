@@ -301,7 +301,7 @@ impl Scalar for Q31 {
     #[inline]
     fn square(self) -> Self {
         let upper = self.0 >> 12;
-        Self(upper.wrapping_mul(upper) >> 7)
+        Self(upper.wrapping_mul(upper))
     }
 
     #[inline]
@@ -313,6 +313,13 @@ impl Scalar for Q31 {
         let product = i64::from(self.0) * i64::from(numerator);
         let quotient = product / i64::from(denominator).max(1);
         Self(quotient.clamp((-QUARTER).into(), QUARTER.into()) as i32)
+    }
+
+    fn headroom(field: &'static str, largest: f32, base: Base) -> Result<u32, ConfigError> {
+        let headroom = log2_ceil(base.0 / largest);
+        let rule = "must be higher for this motor in fixed point";
+        require((1..=14).contains(&headroom), field, rule, largest)?;
+        Ok(headroom as u32)
     }
 
     #[inline]
@@ -467,10 +474,10 @@ mod tests {
         assert_eq!(Q31::from_sixteenths(-40).to_f32(Base::COUNT), -2.5);
         assert_eq!(Q31::from_code(4095).to_f32(Base::CODE), 4095.0);
         assert_eq!(Q31(1 << 20).part(64), Q31(1 << 18));
-        // (−1/16)² and (1/1024)².
+        // (−1/16)² and (1/1024)², times 2⁷.
         assert_eq!(
             [-(1 << 27), 1 << 21].map(|raw| Q31(raw).square()),
-            [Q31(1 << 23), Q31(1 << 11)]
+            [Q31(1 << 30), Q31(1 << 18)]
         );
         assert_eq!(Q31(3000).fraction(-7, 3), Q31(-7000));
         assert_eq!(Q31(1 << 28).fraction(1000, 1), Q31(QUARTER));

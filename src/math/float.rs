@@ -146,6 +146,10 @@ impl Scalar for f32 {
         f32::from(numerator) * self / f32::from(denominator)
     }
 
+    fn headroom(_field: &'static str, _largest: f32, _base: Base) -> Result<u32, ConfigError> {
+        Ok(0)
+    }
+
     #[inline]
     fn ratio(self, whole: f32, limit: f32, _headroom: u32) -> f32 {
         (self / whole).limited(limit)

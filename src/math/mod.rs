@@ -28,9 +28,9 @@ impl Base {
     /// Of an encoder's counts.
     pub const COUNT: Self = Self(32_768.0);
 
-    /// That of the squares of its signals.
+    /// That of the squares of signals that stay within a sixteenth of it.
     pub fn squared(self) -> Self {
-        Self(self.0 * self.0)
+        Self(self.0 * self.0 / 128.0)
     }
 
     /// One that is 2^`by` times smaller, for a signal that stays so much smaller.
@@ -120,7 +120,7 @@ pub trait Scalar:
     /// within ±2¹⁵ over all.
     fn mean_count(position: Self, step: Self) -> Self;
 
-    /// This signal's square, in the square of its base; in fixed point a sixteenth of the base is the largest.
+    /// This signal's square, in its base [squared](Base::squared).
     fn square(self) -> Self;
 
     /// share/256 of a signal. In fixed point within ±2⁻⁸ of its base.
@@ -128,6 +128,9 @@ pub trait Scalar:
 
     /// numerator/denominator of a signal; fixed point saturates at a quarter of its base. For comparison: it divides.
     fn fraction(self, numerator: i16, denominator: i16) -> Self;
+
+    /// The headroom for [`ratio`](Self::ratio) of a largest whole; fixed point refuses a base 2¹⁴ times as large.
+    fn headroom(field: &'static str, largest: f32, base: Base) -> Result<u32, ConfigError>;
 
     /// This as a share of `whole`, a positive signal of the same base of which it is not more than `limit`; nor is the share, however
     /// it is rounded. Fixed point resolves 2⁻¹⁵ of 1 and rounds towards 0; `whole` must stay within 2⁻`headroom` of the

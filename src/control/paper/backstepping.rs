@@ -34,7 +34,7 @@ pub(super) struct Backstepping<S: Scalar> {
     /// Armature voltage of the speed and the current, of the errors z1 and z2, of the reference's jerk and d̂, and of ζ̂2/k2.
     held: S::Gains<2>,
     errors: S::Gains<2>,
-    feed: S::Gains<2>,
+    feed: S::Steep<2>,
     lumped: S::Gains<1>,
 }
 
@@ -80,7 +80,7 @@ impl<S: Scalar> Backstepping<S> {
             z2_rate: S::gains(field, [(-c, a), (-1.0, w)], j)?,
             held: S::gains("motor", [(speed, w), (current, i)], v)?,
             errors: S::gains(field, [(z1, w), (z2, a)], v)?,
-            feed: S::gains("motor", [(volts, j), (disturbance, a)], v)?,
+            feed: S::steep("motor", [(volts, j), (disturbance, a)], v)?,
             lumped: S::gains("gains.k2", [(lumped, Base::RATIO)], v)?,
         })
     }
@@ -114,7 +114,7 @@ impl<S: Scalar> Backstepping<S> {
     ) -> S {
         S::combine(&self.held, [speed, current])
             + S::combine(&self.errors, [z1, z2])
-            + S::combine(&self.feed, [reference.jerk, disturbance])
+            + S::amplify(&self.feed, [reference.jerk, disturbance])
             + S::combine(&self.lumped, [lumped])
     }
 }
