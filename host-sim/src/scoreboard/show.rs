@@ -317,7 +317,9 @@ fn color(family: Family) -> RGBColor {
     }
 }
 
-/// A contender's colour: that of its controller, lighter where its reads are shifted.
+const FIXED: &str = ", fixed point";
+
+/// A contender's colour: that of its controller, lighter where its reads are shifted, darker in fixed point.
 fn player_color(name: &str) -> RGBColor {
     let controllers = [
         (Rule::DriveQsmdo.name(), RGBColor(160, 20, 20)),
@@ -335,19 +337,25 @@ fn player_color(name: &str) -> RGBColor {
         let [r, g, b] = [r, g, b].map(|part| part + (255 - part) / 2);
         RGBColor(r, g, b)
     };
-    let shifted = name.strip_suffix(", shifted reads");
-    of(name).or_else(|| of(shifted?).map(lighter)).unwrap_or(RGBColor(0, 0, 0))
+    let darker = |RGBColor(r, g, b): RGBColor| RGBColor(r / 2, g / 2, b / 2);
+    let [shifted, fixed] = [", shifted reads", FIXED].map(|suffix| name.strip_suffix(suffix));
+    of(name)
+        .or_else(|| of(shifted?).map(lighter))
+        .or_else(|| of(fixed?).map(darker))
+        .unwrap_or(RGBColor(0, 0, 0))
 }
 
 /// A case's view by every contender, whose names stand in the legend beside all of them.
 fn response_plot(responses: &[(&str, &Response)]) -> Result<PreEscaped<String>> {
     let [(_, first), ..] = responses else { return Ok(PreEscaped(String::new())) };
     let view = first.view;
-    // The contenders that matter most lie on top.
-    let lines = responses.iter().rev().map(|(name, response)| Line {
+    // The contenders that matter most lie on top, and on them, dashed, what nearly hides them.
+    let (fixed, others): (Vec<_>, Vec<_>) =
+        responses.iter().rev().partition(|(name, _)| name.ends_with(FIXED));
+    let lines = others.into_iter().chain(fixed).map(|(name, response)| Line {
         name: String::new(),
         color: player_color(name),
-        dashed: false,
+        dashed: name.ends_with(FIXED),
         points: response.signal.points(),
     });
     let reference = view.reference.then(|| Line {
