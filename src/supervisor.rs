@@ -252,12 +252,16 @@ struct Slow<S: Scalar> {
 }
 
 impl<S: Scalar> Slow<S> {
-    fn new(protection: &Protection, config: &DriveConfig) -> Result<Self, ConfigError> {
+    fn new(
+        protection: &Protection,
+        config: &DriveConfig,
+        bases: &Bases,
+    ) -> Result<Self, ConfigError> {
         protection.check(config)?;
         let turn = PERIODS as f32 * config.timing.period();
         let turns = |time: f32| (time / turn) as u32 + 1;
         let square = protection.continuous_current * protection.continuous_current;
-        let Bases { current, speed, .. } = Bases::new(config)?;
+        let &Bases { current, speed, .. } = bases;
         let squares = current.squared();
         let heating = turn / protection.thermal_time;
         Ok(Self {
@@ -280,11 +284,13 @@ impl<S: Scalar> Slow<S> {
 impl<S: Scalar> Supervisor<S> {
     /// Builds a drive and its supervisor. Refuses a configuration outside its range, naming the field.
     pub fn new(config: &DriveConfig, protection: &Protection) -> Result<Self, ConfigError> {
-        let squares = Bases::new(config)?.current.squared();
+        let drive = Drive::new(config)?;
+        let squares = drive.bases().current.squared();
+        let slow = Slow::new(protection, config, drive.bases())?;
         Ok(Self {
             mode: Mode::Boot,
             faults: Faults::NONE,
-            drive: Drive::new(config)?,
+            drive,
             output: Output::Off,
             mean_square: S::ZERO,
             per_turn: S::gains("protection", [(1.0 / PERIODS as f32, squares)], squares)?,
@@ -292,7 +298,7 @@ impl<S: Scalar> Supervisor<S> {
             silence: 0,
             turns: 0,
             is_lost: false,
-            slow: Slow::new(protection, config)?,
+            slow,
         })
     }
 

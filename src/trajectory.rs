@@ -74,6 +74,17 @@ enum Kind<S: Scalar> {
     SCurve(SCurve<S>),
 }
 
+/// Refuses a configured value where a signal that it may cause takes more than a quarter of its base.
+fn fits<S: Scalar>(
+    field: &'static str,
+    signal: f32,
+    base: Base,
+    value: f32,
+) -> Result<(), ConfigError> {
+    let taken = S::constant(field, 2.0 * signal, base);
+    taken.map(drop).map_err(|error| ConfigError { value, ..error })
+}
+
 impl<S: Scalar> Shaper<S> {
     /// A shaper at rest at zero speed, for a sampling rate in Hz.
     pub(crate) fn new(shape: Shape, rate: f32, bases: &Bases) -> Result<Self, ConfigError> {
@@ -100,7 +111,7 @@ impl<S: Scalar> Shaper<S> {
                 let damping = -(2.0 * decay - 0.5 * decay * decay) / period;
                 // From one end of the speeds to the other, and back before it is there.
                 let way = 0.25 * speed.0;
-                S::constant(field, 0.5 * bandwidth * bandwidth * way, of_jerk)?;
+                fits::<S>(field, 0.25 * bandwidth * bandwidth * way, of_jerk, bandwidth)?;
                 let fine = fine_for(bandwidth * way, bandwidth * bandwidth * way);
                 let (acceleration, jerk) = (of_acceleration.finer(fine), of_jerk.finer(fine));
                 let kind = Kind::SecondOrder {
@@ -118,9 +129,8 @@ impl<S: Scalar> Shaper<S> {
                     "must be at most reference.acceleration a sampling period",
                     jerk,
                 )?;
-                // A quarter is there for either.
-                S::constant("reference.acceleration", 2.0 * acceleration, of_acceleration)?;
-                S::constant("reference.jerk", 2.2 * jerk, of_jerk)?;
+                fits::<S>("reference.acceleration", acceleration, of_acceleration, acceleration)?;
+                fits::<S>("reference.jerk", 1.1 * jerk, of_jerk, jerk)?;
                 let fine = fine_for(acceleration, 1.1 * jerk);
                 let bases = [speed, of_acceleration.finer(fine), of_jerk.finer(fine)];
                 (Kind::SCurve(SCurve::new(acceleration, jerk, period, bases)), fine)

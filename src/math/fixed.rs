@@ -111,20 +111,32 @@ use long as sum_of_products;
 #[cfg(short_products)]
 use short as sum_of_products;
 
-/// Mantissas of gains in 2^(exponent − 16), with the least exponent.
-fn normalised<const N: usize>(gains: [(f32, Base); N], to: Base) -> ([i32; N], i32) {
+/// Mantissas of gains in 2^(exponent − 16), with the least exponent; refuses more than `most` and what is no number, naming the
+/// first of those, or the largest gain.
+#[inline(never)]
+fn normalised<const N: usize>(
+    field: &'static str,
+    rule: &'static str,
+    gains: [(f32, Base); N],
+    to: Base,
+    most: i32,
+) -> Result<([i32; N], i32), ConfigError> {
+    let larger = |a: f32, b: f32| if b.is_finite() && b.abs() < a.abs() { a } else { b };
+    let largest = gains.iter().map(|(gain, _)| *gain).fold(0.0, larger);
+    require(gains.iter().all(|(gain, _)| gain.is_finite()), field, rule, largest)?;
     let gains = gains.map(|(gain, base)| gain * (base.0 / to.0));
     let total: f32 = gains.iter().map(|gain| gain.abs()).sum();
     if total == 0.0 {
-        return ([0; N], 0);
+        return Ok(([0; N], 0));
     }
     let mut exponent = log2_ceil(total).max(-30);
     loop {
+        require(exponent <= most, field, rule, largest)?;
         let scale = power_of_two(16 - exponent);
         let mantissas = gains.map(|gain| libm::roundf(gain * scale) as i32);
         // Rounded up, they may come to more than their sum.
         if mantissas.iter().map(|mantissa| mantissa.unsigned_abs()).sum::<u32>() <= MOST {
-            return (mantissas.map(|mantissa| mantissa << PLACE), exponent);
+            return Ok((mantissas.map(|mantissa| mantissa << PLACE), exponent));
         }
         exponent += 1;
     }
@@ -133,13 +145,6 @@ fn normalised<const N: usize>(gains: [(f32, Base); N], to: Base) -> ([i32; N], i
 /// Half of what a shift to the right takes: added before, it rounds to the nearest.
 fn half(shift: u32) -> i32 {
     if shift == 0 { 0 } else { 1 << (shift - 1) }
-}
-
-/// Whether all gains are numbers; the first that is not, or the largest.
-fn checked<const N: usize>(gains: &[(f32, Base); N]) -> (bool, f32) {
-    let larger = |a: f32, b: f32| if b.is_finite() && b.abs() < a.abs() { a } else { b };
-    let largest = gains.iter().map(|(gain, _)| *gain).fold(0.0, larger);
-    (gains.iter().all(|(gain, _)| gain.is_finite()), largest)
 }
 
 impl Add for Q31 {
@@ -205,11 +210,8 @@ impl Scalar for Q31 {
         gains: [(f32, Base); N],
         to: Base,
     ) -> Result<Gains<N>, ConfigError> {
-        let (finite, largest) = checked(&gains);
         let rule = "must keep the gains of fixed point below a half";
-        require(finite, field, rule, largest)?;
-        let (mantissas, exponent) = normalised(gains, to);
-        require(exponent <= 0, field, rule, largest)?;
+        let (mantissas, exponent) = normalised(field, rule, gains, to, 0)?;
         let shift = exponent.unsigned_abs();
         Ok(Gains { mantissas, shift, half: half(shift) })
     }
@@ -236,11 +238,8 @@ impl Scalar for Q31 {
         gains: [(f32, Base); N],
         to: Base,
     ) -> Result<Steep<N>, ConfigError> {
-        let (finite, largest) = checked(&gains);
         let rule = "must keep the gains of fixed point below 16384";
-        require(finite, field, rule, largest)?;
-        let (mantissas, exponent) = normalised(gains, to);
-        require(exponent <= 15, field, rule, largest)?;
+        let (mantissas, exponent) = normalised(field, rule, gains, to, 15)?;
         let up = exponent.max(0) as u32;
         Ok(Steep { mantissas, down: (-exponent).max(0) as u32, limit: QUARTER >> up, up })
     }
