@@ -14,5 +14,5 @@ fn main() {
     let n: u32 = std::env::args().nth(4).unwrap().parse().unwrap();
     let mut b = VirtualBoard::new(&image, Bench);
     let mut t = from;
-    for _ in 0..n { if let Err(e) = b.run_until(t) { println!("{e}"); return; } println!("{:.7} {:x?} sp {:x} locked {}", b.time(), b.place(), b.sp(), b.is_locked_up()); t += step; if b.is_locked_up() { println!("{:?}", b.faults()); return } }
+    for _ in 0..n { if let Err(e) = b.run_until(t) { println!("{e}"); return; } println!("{:.7} {:x?} sp {:x} locked {}", b.time(), b.place(), b.stack_pointer(), b.is_locked_up()); t += step; if b.is_locked_up() { println!("{:?}", b.fault_address()); return } }
 }

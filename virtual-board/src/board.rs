@@ -7,7 +7,7 @@ use crate::chip::{Chip, Refused, Switched, Violation};
 use crate::cpu::{Bus, Cpu, Shared};
 use crate::image::Image;
 use crate::memory::Memory;
-use crate::statistics::{ENTRY, Statistics};
+use crate::statistics::Statistics;
 use crate::time::{NEVER, Tick, seconds, ticks};
 use crate::world::{Gates, World};
 use std::fmt;
@@ -15,6 +15,9 @@ use std::sync::Arc;
 
 /// Rate at which the other end of the serial line sends (bit/s).
 pub const LINE_RATE: u32 = 921_600;
+
+/// Cycles that the core takes to enter or to leave an exception (Cortex-M4 TRM).
+const ENTRY: u64 = 12;
 
 /// Why the emulation stopped. It says nothing about the hardware: what the hardware does is played on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -148,8 +151,8 @@ impl<W: World + Send + 'static> VirtualBoard<W> {
         let cycles = self.cpu.step();
         self.instructions += 1;
         self.statistics.step(cycles);
-        // Entries and exits take long; `rsemu` counts their stacking twice.
-        if cycles < 10 {
+        // To change exceptions takes long: from 7 cycles on, from one to the next.
+        if cycles < 7 {
             return cycles;
         }
         let before = self.statistics.exception();
@@ -157,8 +160,9 @@ impl<W: World + Send + 'static> VirtualBoard<W> {
         if exception == before {
             return cycles;
         }
-        self.statistics.follow(exception);
-        ENTRY
+        self.statistics.follow(exception, |number| self.cpu.is_active(number));
+        // `rsemu` counts stacking twice.
+        cycles.min(ENTRY)
     }
 
     /// Plays what has happened beside the core, and looks at what follows for it.
@@ -324,10 +328,16 @@ impl<W: World + Send + 'static> VirtualBoard<W> {
         self.is_locked_up
     }
 
-    /// sp
-    pub fn sp(&self)->u32{self.cpu.sp()}
-    /// faults
-    pub fn faults(&self)->(u64,u32){self.cpu.faults()}
+    /// The stack's pointer.
+    pub fn stack_pointer(&self) -> u32 {
+        self.cpu.sp()
+    }
+
+    /// The last address without memory that the core reached for, if it did.
+    pub fn fault_address(&self) -> Option<u32> {
+        self.cpu.fault_address()
+    }
+
     /// Address of the next instruction, and the function that it is in.
     pub fn place(&self) -> (u32, Option<&str>) {
         let pc = self.cpu.pc();

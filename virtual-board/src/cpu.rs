@@ -7,6 +7,7 @@
 use crate::chip::flash;
 use crate::memory::{CCM, CCM_ALIAS, Memory, SRAM};
 use rsemu::core::space::{AddressSpace, MemAttrs, MemOps, MemResult, Mapping, Perms, Region};
+use rsemu::cpu::arm::v7m::sys::Exception;
 use rsemu::cpu::arm::v7m::{ArmV7m, Config};
 use std::fmt;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -202,6 +203,11 @@ impl Cpu {
         self.core.current_exception().0
     }
 
+    /// Whether it has entered an exception's handler and not left it yet.
+    pub fn is_active(&self, exception: u16) -> bool {
+        self.core.with_sys(|sys| sys.is_active(Exception(exception)))
+    }
+
     /// Address of the next instruction.
     pub fn pc(&self) -> u32 {
         self.core.pc()
@@ -217,8 +223,12 @@ impl Cpu {
         self.core.reg(13)
     }
 
-    /// faults
-    pub fn faults(&self)->(u64,u32){self.core.bus_faults()}
+    /// The last address without memory that it reached for, if it did.
+    pub fn fault_address(&self) -> Option<u32> {
+        let (count, address) = self.core.bus_faults();
+        (count > 0).then_some(address)
+    }
+
     /// Sets the stack's pointer.
     pub fn set_sp(&self, address: u32) {
         self.core.set_reg(13, address);

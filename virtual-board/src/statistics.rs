@@ -36,7 +36,7 @@ pub struct Handler {
     pub count: u64,
     /// Instructions.
     pub instructions: Spread,
-    /// Cycles of the core's clock by estimate, with entry and exit.
+    /// Cycles of the core's clock by estimate, without entry.
     pub cycles: Spread,
     /// How often each address was executed, if asked for.
     pub addresses: BTreeMap<u32, u64>,
@@ -48,9 +48,6 @@ struct Frame {
     instructions: u64,
     cycles: u64,
 }
-
-/// Cycles that the core takes to enter and to leave an exception (Cortex-M4 TRM).
-pub const ENTRY: u64 = 12;
 
 /// Counts.
 pub struct Statistics {
@@ -106,20 +103,16 @@ impl Statistics {
         *self.handler(exception).addresses.entry(address).or_default() += 1;
     }
 
-    /// After a step, the core handles this exception (0: none).
-    pub fn follow(&mut self, exception: u16) {
-        let depth = self.frames.len();
-        let below = depth.checked_sub(2).map_or(0, |index| self.frames[index].exception);
-        if exception == self.exception() {
-        } else if depth > 0 && exception == below {
-            if let Some(Frame { exception, instructions, cycles }) = self.frames.pop() {
-                let handler = self.handler(exception);
-                handler.count += 1;
-                handler.instructions.add(instructions);
-                handler.cycles.add(cycles);
-            }
-        } else {
-            self.frames.push(Frame { exception, instructions: 0, cycles: ENTRY });
+    /// After a step, the core handles this exception (0: none); `is_active` tells which it has not left yet.
+    pub fn follow(&mut self, exception: u16, is_active: impl Fn(u16) -> bool) {
+        while let Some(frame) = self.frames.pop_if(|frame| !is_active(frame.exception)) {
+            let handler = self.handler(frame.exception);
+            handler.count += 1;
+            handler.instructions.add(frame.instructions);
+            handler.cycles.add(frame.cycles);
+        }
+        if exception != self.exception() {
+            self.frames.push(Frame { exception, instructions: 0, cycles: 0 });
         }
     }
 

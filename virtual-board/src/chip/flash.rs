@@ -9,9 +9,13 @@ use super::block::{Access, Unmodelled, bit, field, only, store};
 use crate::time::{MICROSECOND, Tick};
 use std::collections::BTreeSet;
 
-/// Bytes of the flash, of a page, and of what is programmed at once.
+/// Bytes of the flash.
 pub const SIZE: usize = 0x2_0000;
+
+/// Bytes of a page, which is erased at once.
 pub const PAGE: usize = 0x800;
+
+/// Bytes that are programmed at once.
 const DOUBLE_WORD: usize = 8;
 
 /// Address of its first byte.

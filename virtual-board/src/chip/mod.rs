@@ -573,12 +573,12 @@ impl<W: World> Chip<W> {
             self.tim15.rescale(self.now, before, after);
         }
         let Some(cycle) = self.cycle else { return };
-        let megahertz = crate::time::MICROSECOND as f64 / cycle as f64;
-        let per_wait_state = if self.pwr.is_boosted() { 34.0 } else { 30.0 };
+        let megahertz = MICROSECOND as f64 / cycle as f64;
+        // 30 MHz a wait state without boost, 34 MHz with it.
+        let limit = if self.pwr.is_boosted() { 34.0 } else { 30.0 };
         if megahertz > 150.0 && !self.pwr.is_boosted() {
             self.note(Violation::NoBoost);
-        }
-        if megahertz > per_wait_state * f64::from(self.flash.latency() + 1) {
+        } else if megahertz > limit * f64::from(self.flash.latency() + 1) {
             self.note(Violation::WaitStates);
         }
     }

@@ -59,25 +59,40 @@ pub enum Reset {
     Watchdog = 29,
 }
 
-/// A block, as its clock enable and reset bits are found: bus and bit.
+/// Where a block's clock enable and reset bits are: bus and bit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Gate(pub u32, pub u32);
 
 impl Gate {
+    /// Of DMA1.
     pub const DMA1: Self = Self(0, 0);
+    /// Of DMAMUX1.
     pub const DMAMUX1: Self = Self(0, 2);
+    /// Of the flash interface.
     pub const FLASH: Self = Self(0, 8);
+    /// Of port A.
     pub const GPIOA: Self = Self(1, 0);
+    /// Of port B.
     pub const GPIOB: Self = Self(1, 1);
+    /// Of port C.
     pub const GPIOC: Self = Self(1, 2);
+    /// Of ADC1 and ADC2.
     pub const ADC12: Self = Self(1, 13);
+    /// Of DAC3.
     pub const DAC3: Self = Self(1, 18);
+    /// Of TIM3.
     pub const TIM3: Self = Self(4, 1);
+    /// Of TIM4.
     pub const TIM4: Self = Self(4, 2);
+    /// Of USART2.
     pub const USART2: Self = Self(4, 17);
+    /// Of PWR.
     pub const PWR: Self = Self(4, 28);
+    /// Of SYSCFG, COMP and OPAMP.
     pub const SYSCFG: Self = Self(6, 0);
+    /// Of TIM1.
     pub const TIM1: Self = Self(6, 11);
+    /// Of TIM15.
     pub const TIM15: Self = Self(6, 16);
 }
 
