@@ -7,7 +7,7 @@ pub mod board;
 pub mod chip;
 mod cpu;
 pub mod image;
-mod memory;
+pub mod memory;
 pub mod statistics;
 pub mod time;
 pub mod world;

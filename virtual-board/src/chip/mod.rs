@@ -297,7 +297,7 @@ impl<W: World> Chip<W> {
 
     /// The crystal breaks.
     pub fn break_crystal(&mut self) {
-        self.rcc.break_crystal();
+        self.rcc.break_crystal(self.now);
         self.follow_clock();
         self.follow();
     }

@@ -1,0 +1,177 @@
+//! The image that is flashed, from reset on, without a motor. Needs the image: `cargo xtask firmware`.
+
+use quasidrive::link::frame::{Decoder, LONGEST, encode};
+use quasidrive::link::message::{Answer, Message, Numbered, Request, Status};
+use quasidrive::supervisor::Mode;
+use std::path::PathBuf;
+use virtual_board::chip::rcc::Reset;
+use virtual_board::world::{AnaloguePin, Gates, InputPin};
+use virtual_board::{Image, VirtualBoard, World};
+
+/// Exception number of the control interrupt, ADC1_2.
+const CONTROL: u16 = 18 + 16;
+
+/// When the firmware has learnt its offsets and waits (s).
+const READY: f64 = 0.3;
+
+/// A board at rest: 24 V, 25 °C, no motor. Counts how often the gates were told something.
+#[derive(Default)]
+struct Bench {
+    switches: usize,
+}
+
+impl World for Bench {
+    fn switch(&mut self, _time: f64, _gates: Gates) {
+        self.switches += 1;
+    }
+
+    fn voltage(&mut self, _time: f64, pin: AnaloguePin) -> f64 {
+        match pin {
+            // 2.057 V after the amplifier.
+            AnaloguePin::ShuntU | AnaloguePin::ShuntV | AnaloguePin::ShuntW => 0.128_56,
+            AnaloguePin::BusVoltage => 24.0 * 18.0 / 187.0,
+            AnaloguePin::Temperature => 3.3 * 4.7 / 14.7,
+            AnaloguePin::Potentiometer => 0.0,
+        }
+    }
+
+    fn encoder_edges(&mut self, _time: f64) -> i64 {
+        0
+    }
+
+    fn level(&mut self, _time: f64, pin: InputPin) -> bool {
+        match pin {
+            InputPin::Button => true,
+        }
+    }
+}
+
+fn image() -> Image {
+    let built = concat!(env!("CARGO_MANIFEST_DIR"), "/../target/firmware/b_g431b_esc1.elf");
+    let path = std::env::var_os("QUASIDRIVE_ELF").map_or(built.into(), PathBuf::from);
+    let data = std::fs::read(&path)
+        .unwrap_or_else(|error| panic!("{}: {error}; cargo xtask firmware builds it", path.display()));
+    Image::from_elf(&data).expect("an image")
+}
+
+fn booted() -> VirtualBoard<Bench> {
+    let mut board = VirtualBoard::new(&image(), Bench::default());
+    run(&mut board, READY);
+    board
+}
+
+fn run(board: &mut VirtualBoard<Bench>, seconds: f64) {
+    let end = board.time() + seconds;
+    if let Err(stop) = board.run_until(end) {
+        panic!("{stop}, in {:?}", board.place());
+    }
+}
+
+/// Asks the firmware something over the serial line, and gives its answer to `look`.
+fn ask<R>(
+    board: &mut VirtualBoard<Bench>,
+    request: Request,
+    look: impl FnOnce(&Answer) -> R,
+) -> R {
+    let mut buffer = [0; LONGEST];
+    let frame = encode(&Numbered { sequence: 7, request }, &mut buffer).expect("a frame");
+    board.send(frame);
+    run(board, 0.02);
+    let mut decoder = Decoder::new();
+    for byte in board.received() {
+        if let Some(message) = decoder.feed(byte) {
+            match postcard::from_bytes(message) {
+                Ok(Message::Answer { sequence: 7, answer }) => return look(&answer),
+                other => panic!("{other:?}"),
+            }
+        }
+    }
+    panic!("no answer to {request:?}");
+}
+
+fn status(board: &mut VirtualBoard<Bench>) -> Status {
+    ask(board, Request::Status, |answer| match answer {
+        Answer::Status(status) => *status,
+        other => panic!("{other:?}"),
+    })
+}
+
+#[test]
+#[ignore = "needs the image: cargo xtask firmware"]
+fn it_comes_up_with_outputs_off_and_says_who_it_is() {
+    let mut board = booted();
+    assert_eq!(board.resets().len(), 1, "{:?}", board.resets());
+    assert_eq!(status(&mut board).mode, Mode::Ready);
+    ask(&mut board, Request::Identify, |answer| match answer {
+        Answer::Identity(identity) => assert_eq!(identity.board, "b-g431b-esc1"),
+        other => panic!("{other:?}"),
+    });
+    assert!(!board.main_output());
+    assert_eq!(board.gates(), Gates::OFF);
+    assert_eq!(board.world(|world| world.switches), 0);
+}
+
+#[test]
+#[ignore = "needs the image: cargo xtask firmware"]
+fn its_control_interrupt_comes_once_a_period() {
+    let mut board = booted();
+    board.statistics().clear();
+    run(&mut board, 0.5);
+    let handler = &board.statistics().handlers()[&CONTROL];
+    // 170 MHz / 8496
+    let rate = handler.count as f64 / 0.5;
+    assert!((rate - 20_009.4).abs() < 3.0, "{rate}");
+    assert!(handler.cycles.max < 8496 / 2, "{handler:?}");
+}
+
+#[test]
+#[ignore = "needs the image: cargo xtask firmware"]
+fn it_plays_the_same_twice() {
+    let play = || {
+        let mut board = booted();
+        ask(&mut board, Request::SetTelemetry(20), |_| ());
+        run(&mut board, 0.2);
+        (board.received(), board.instructions(), board.flash())
+    };
+    let (first, second) = (play(), play());
+    assert!(first.0.len() > 1000);
+    assert!(first == second);
+}
+
+#[test]
+#[ignore = "needs the image: cargo xtask firmware"]
+fn it_stays_within_what_the_data_sheet_allows() {
+    let board = booted();
+    assert_eq!(board.violations(), []);
+}
+
+#[test]
+#[ignore = "needs the image: cargo xtask firmware"]
+fn a_hung_interrupt_a_panic_and_a_hard_fault_end_in_a_watchdog_reset() {
+    type Fault = fn(&mut VirtualBoard<Bench>);
+    let faults: [(&str, Fault); 4] = [
+        ("interrupt stuck on", |board| board.force_interrupt(18, Some(true))),
+        ("interrupt stuck off", |board| board.force_interrupt(18, Some(false))),
+        ("hard fault", |board| board.jump(0x1fff_fff0)),
+        ("stack overflow", |board| board.exhaust_stack(16)),
+    ];
+    for (name, fault) in faults {
+        let mut board = booted();
+        fault(&mut board);
+        run(&mut board, 0.1);
+        let reset = board.resets().get(1).unwrap_or_else(|| panic!("no reset by {name}"));
+        assert_eq!(reset.reset, Reset::Watchdog, "{name}");
+        assert!(!board.main_output(), "{name}");
+    }
+}
+
+#[test]
+#[ignore = "needs the image: cargo xtask firmware"]
+fn a_broken_crystal_ends_in_a_watchdog_reset() {
+    let mut board = booted();
+    board.break_crystal();
+    run(&mut board, 0.1);
+    assert_eq!(board.resets()[1].reset, Reset::Watchdog);
+    // From then on it waits for the crystal, with outputs off.
+    assert_eq!(board.gates(), Gates::OFF);
+}
