@@ -1,9 +1,6 @@
 //! The board: core, microcontroller and world, played in time.
 
-use crate::chip::flash::Cells;
-use crate::chip::rcc::Reset;
-use crate::chip::usart::Line;
-use crate::chip::{Chip, Refused, Switched, Violation};
+use crate::chip::{Cells, Chip, Line, Refused, Reset, Switched, Violation};
 use crate::cpu::{Bus, Cpu, Shared};
 use crate::image::Image;
 use crate::memory::Memory;
@@ -18,6 +15,9 @@ pub const LINE_RATE: u32 = 921_600;
 
 /// Cycles that the core takes to enter or to leave an exception (Cortex-M4 TRM).
 const ENTRY: u64 = 12;
+
+/// Exception number of the non-maskable interrupt.
+const NON_MASKABLE: u16 = 2;
 
 /// Why the emulation stopped. It says nothing about the hardware: what the hardware does is played on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -46,6 +46,8 @@ pub struct ResetEvent {
     pub time: f64,
     /// Why.
     pub reset: Reset,
+    /// The last address without memory that the core reached for since the reset before: what a lock-up is from.
+    pub fault_address: Option<u32>,
 }
 
 /// An emulated board with a world around it.
@@ -161,6 +163,9 @@ impl<W: World + Send + 'static> VirtualBoard<W> {
             return cycles;
         }
         self.statistics.follow(exception, |number| self.cpu.is_active(number));
+        // While it is handled a level makes an interrupt pending no more; `rsemu` does not know that of the non-maskable one.
+        self.cpu.set_nmi(false);
+        self.next = self.now;
         // `rsemu` counts stacking twice.
         cycles.min(ENTRY)
     }
@@ -202,7 +207,7 @@ impl<W: World + Send + 'static> VirtualBoard<W> {
         }
         let [high, low] = self.forced;
         self.cpu.set_interrupts((chip.interrupts() | high) & !low);
-        self.cpu.set_nmi(chip.nmi());
+        self.cpu.set_nmi(chip.nmi() && !self.cpu.is_active(NON_MASKABLE));
         self.next = chip.next_event();
         Ok(())
     }
@@ -231,13 +236,14 @@ impl<W: World + Send + 'static> VirtualBoard<W> {
         let mut chip = shared.bus();
         chip.advance(self.now);
         chip.reset(reset);
+        let fault_address = self.cpu.fault_address();
         self.cpu.reset();
         self.statistics.reset();
         self.is_locked_up = false;
         self.cycle = chip.cycle();
         self.next = chip.next_event();
         self.memory.paint(self.image.stack());
-        self.resets.push(ResetEvent { time: seconds(self.now), reset });
+        self.resets.push(ResetEvent { time: seconds(self.now), reset, fault_address });
     }
 
     /// Power goes: what the flash is at stays half done, and the memories lose their contents.
@@ -328,16 +334,6 @@ impl<W: World + Send + 'static> VirtualBoard<W> {
         self.is_locked_up
     }
 
-    /// The stack's pointer.
-    pub fn stack_pointer(&self) -> u32 {
-        self.cpu.sp()
-    }
-
-    /// The last address without memory that the core reached for, if it did.
-    pub fn fault_address(&self) -> Option<u32> {
-        self.cpu.fault_address()
-    }
-
     /// Address of the next instruction, and the function that it is in.
     pub fn place(&self) -> (u32, Option<&str>) {
         let pc = self.cpu.pc();
@@ -392,4 +388,3 @@ impl<W: World + Send + 'static> VirtualBoard<W> {
         self.cpu.set_sp(self.image.stack().start + left);
     }
 }
-

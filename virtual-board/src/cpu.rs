@@ -6,7 +6,7 @@
 
 use crate::chip::flash;
 use crate::memory::{CCM, CCM_ALIAS, Memory, SRAM};
-use rsemu::core::space::{AddressSpace, MemAttrs, MemOps, MemResult, Mapping, Perms, Region};
+use rsemu::core::space::{AddressSpace, Mapping, MemAttrs, MemOps, MemResult, Perms, Region};
 use rsemu::cpu::arm::v7m::sys::Exception;
 use rsemu::cpu::arm::v7m::{ArmV7m, Config};
 use std::fmt;
@@ -128,8 +128,7 @@ impl Cpu {
             Mapping::new(window(flash::BASE, flash::SIZE as u64), cells)
                 .with_perms(Perms::WRITE)
                 .with_priority(1),
-            Mapping::new(window(flash::BASE + DATA_PAGES as u32, data_size), data)
-                .with_priority(2),
+            Mapping::new(window(flash::BASE + DATA_PAGES as u32, data_size), data).with_priority(2),
             Mapping::new(ram(&memory.sram), SRAM.into()),
             Mapping::new(ram(&memory.ccm), CCM.into()),
             Mapping::new(ram(&memory.ccm), CCM_ALIAS.into()),
@@ -218,11 +217,6 @@ impl Cpu {
         self.core.set_pc(address & !1);
     }
 
-    /// The stack's pointer.
-    pub fn sp(&self) -> u32 {
-        self.core.reg(13)
-    }
-
     /// The last address without memory that it reached for, if it did.
     pub fn fault_address(&self) -> Option<u32> {
         let (count, address) = self.core.bus_faults();
@@ -236,8 +230,7 @@ impl Cpu {
 }
 
 fn start(space: &Arc<AddressSpace>) -> ArmV7m {
-    let config =
-        Config::CORTEX_M4F.with_reset_vtor(flash::BASE).with_priority_bits(PRIORITY_BITS);
+    let config = Config::CORTEX_M4F.with_reset_vtor(flash::BASE).with_priority_bits(PRIORITY_BITS);
     let core = ArmV7m::new(config);
     core.attach_space(Arc::clone(space));
     core

@@ -2,10 +2,7 @@
 //! else is said.
 
 use virtual_board::World;
-use virtual_board::chip::flash::Cells;
-use virtual_board::chip::rcc::Reset;
-use virtual_board::chip::usart::Line;
-use virtual_board::chip::{Cause, Chip};
+use virtual_board::chip::{Cause, Cells, Chip, Line, Reset};
 use virtual_board::memory::{Memory, SRAM};
 use virtual_board::time::{MICROSECOND, NEVER, SECOND, Tick, seconds, ticks};
 use virtual_board::world::{AnaloguePin, Gates, InputPin};
@@ -75,8 +72,7 @@ struct Bench {
 impl Bench {
     /// Powered, with every block's clock on.
     fn new() -> Self {
-        let world =
-            Recorder { switches: Vec::new(), looks: Vec::new(), shunt: 0.1286, edges: 0 };
+        let world = Recorder { switches: Vec::new(), looks: Vec::new(), shunt: 0.1286, edges: 0 };
         let memory = Memory::new();
         let mut chip = Chip::new(memory.clone(), Cells::new(), Line::new(921_600), world);
         chip.reset(Reset::Power);
@@ -86,12 +82,9 @@ impl Bench {
     }
 
     fn switch_clocks_on(&mut self) {
-        for (register, value) in [
-            (0x48, 0x105),
-            (0x4c, 0x42007),
-            (0x58, 0x1002_0006),
-            (0x60, 0x0001_0801),
-        ] {
+        for (register, value) in
+            [(0x48, 0x105), (0x4c, 0x42007), (0x58, 0x1002_0006), (0x60, 0x0001_0801)]
+        {
             self.write(RCC + register, value);
         }
     }
@@ -216,12 +209,7 @@ fn dead_time_delays_the_switch_that_turns_on_at_both_edges() {
     let edges = bench.edges_of_u(from);
     // Up through 60: low side off, high side after the dead time. Down through 60 the counter is at 60 after 40 cycles of 100: there the
     // high side goes off.
-    let expected = [
-        (60, false, false),
-        (70, true, false),
-        (140, false, false),
-        (150, false, true),
-    ];
+    let expected = [(60, false, false), (70, true, false), (140, false, false), (150, false, true)];
     assert_eq!(edges, expected);
 }
 
@@ -328,7 +316,10 @@ fn the_comparator_ends_the_outputs_and_holds_them_until_it_is_gone() {
     let from = bench.now;
     while bench.main_output() {
         bench.run(CYCLE);
-        assert!(bench.now - from < 5 * MICROSECOND + 150 * CYCLE, "the comparator's look and the filter");
+        assert!(
+            bench.now - from < 5 * MICROSECOND + 150 * CYCLE,
+            "the comparator's look and the filter"
+        );
     }
     assert!(bench.now - from >= 128 * CYCLE);
     assert_eq!(bench.chip.gates(), Gates::OFF);

@@ -1,10 +1,13 @@
 //! The image that is flashed, from reset on, without a motor. Needs the image: `cargo xtask firmware`.
+#![allow(clippy::panic, reason = "a test's way to fail with the reason")]
 
+use quasidrive::fault::Faults;
 use quasidrive::link::frame::{Decoder, LONGEST, encode};
 use quasidrive::link::message::{Answer, Message, Numbered, Request, Status};
-use quasidrive::supervisor::Mode;
+use quasidrive::parameters::Parameters;
+use quasidrive::supervisor::{Command, Mode};
 use std::path::PathBuf;
-use virtual_board::chip::rcc::Reset;
+use virtual_board::chip::Reset;
 use virtual_board::world::{AnaloguePin, Gates, InputPin};
 use virtual_board::{Image, VirtualBoard, World};
 
@@ -14,15 +17,15 @@ const CONTROL: u16 = 18 + 16;
 /// When the firmware has learnt its offsets and waits (s).
 const READY: f64 = 0.3;
 
-/// A board at rest: 24 V, 25 °C, no motor. Counts how often the gates were told something.
+/// A board at rest: 24 V, 25 °C, no motor. Writes down what the gates were told.
 #[derive(Default)]
 struct Bench {
-    switches: usize,
+    switches: Vec<(f64, Gates)>,
 }
 
 impl World for Bench {
-    fn switch(&mut self, _time: f64, _gates: Gates) {
-        self.switches += 1;
+    fn switch(&mut self, time: f64, gates: Gates) {
+        self.switches.push((time, gates));
     }
 
     fn voltage(&mut self, _time: f64, pin: AnaloguePin) -> f64 {
@@ -49,8 +52,9 @@ impl World for Bench {
 fn image() -> Image {
     let built = concat!(env!("CARGO_MANIFEST_DIR"), "/../target/firmware/b_g431b_esc1.elf");
     let path = std::env::var_os("QUASIDRIVE_ELF").map_or(built.into(), PathBuf::from);
-    let data = std::fs::read(&path)
-        .unwrap_or_else(|error| panic!("{}: {error}; cargo xtask firmware builds it", path.display()));
+    let data = std::fs::read(&path).unwrap_or_else(|error| {
+        panic!("{}: {error}; cargo xtask firmware builds it", path.display())
+    });
     Image::from_elf(&data).expect("an image")
 }
 
@@ -68,15 +72,19 @@ fn run(board: &mut VirtualBoard<Bench>, seconds: f64) {
 }
 
 /// Asks the firmware something over the serial line, and gives its answer to `look`.
-fn ask<R>(
+fn ask<R>(board: &mut VirtualBoard<Bench>, request: Request, look: impl FnOnce(&Answer) -> R) -> R {
+    ask_within(0.02, board, request, look)
+}
+
+/// The same of what takes longer (s).
+fn ask_within<R>(
+    time: f64,
     board: &mut VirtualBoard<Bench>,
     request: Request,
     look: impl FnOnce(&Answer) -> R,
 ) -> R {
-    let mut buffer = [0; LONGEST];
-    let frame = encode(&Numbered { sequence: 7, request }, &mut buffer).expect("a frame");
-    board.send(frame);
-    run(board, 0.02);
+    send(board, request);
+    run(board, time);
     let mut decoder = Decoder::new();
     for byte in board.received() {
         if let Some(message) = decoder.feed(byte) {
@@ -86,7 +94,21 @@ fn ask<R>(
             }
         }
     }
-    panic!("no answer to {request:?}");
+    panic!("no answer to {request:?} in {:?}, after {:?}", board.place(), board.resets());
+}
+
+fn send(board: &mut VirtualBoard<Bench>, request: Request) {
+    let mut buffer = [0; LONGEST];
+    let frame = encode(&Numbered { sequence: 7, request }, &mut buffer).expect("a frame");
+    board.received();
+    board.send(frame);
+}
+
+fn read_parameters(board: &mut VirtualBoard<Bench>) -> Parameters {
+    ask(board, Request::ReadParameters, |answer| match answer {
+        Answer::Parameters(parameters) => *parameters,
+        other => panic!("{other:?}"),
+    })
 }
 
 fn status(board: &mut VirtualBoard<Bench>) -> Status {
@@ -108,7 +130,7 @@ fn it_comes_up_with_outputs_off_and_says_who_it_is() {
     });
     assert!(!board.main_output());
     assert_eq!(board.gates(), Gates::OFF);
-    assert_eq!(board.world(|world| world.switches), 0);
+    assert_eq!(board.world(|world| world.switches.len()), 0);
 }
 
 #[test]
@@ -174,4 +196,98 @@ fn a_broken_crystal_ends_in_a_watchdog_reset() {
     assert_eq!(board.resets()[1].reset, Reset::Watchdog);
     // From then on it waits for the crystal, with outputs off.
     assert_eq!(board.gates(), Gates::OFF);
+}
+
+#[test]
+#[ignore = "needs the image: cargo xtask firmware"]
+fn armed_it_charges_then_drives_and_keeps_the_dead_time_throughout() {
+    let mut board = booted();
+    let done = |answer: &Answer| assert!(matches!(answer, Answer::Done), "{answer:?}");
+    ask(&mut board, Request::Command(Command::Arm), done);
+    run(&mut board, 0.05);
+    assert_eq!(status(&mut board).mode, Mode::Running);
+    ask(&mut board, Request::Command(Command::Off), done);
+    assert_eq!(board.gates(), Gates::OFF);
+    run(&mut board, 0.05);
+    let off_since = board.off_since();
+    assert!(board.time() - off_since > 0.04);
+    let switches = board.world(|world| std::mem::take(&mut world.switches));
+    for leg in 0..2 {
+        check_leg(leg, &switches);
+    }
+    assert!(switches.iter().all(|(_, gates)| !gates.high[2] && !gates.low[2]), "W");
+}
+
+/// Shortest time from one switch's end to the other's begin (s): 136 cycles of 170 MHz.
+const DEAD_TIME: f64 = 0.8e-6;
+
+/// Dead time of a leg, and that its low side alone comes first, for 20 ms at least.
+fn check_leg(leg: usize, switches: &[(f64, Gates)]) {
+    let (mut before, mut ended) = ([false; 2], [f64::NEG_INFINITY; 2]);
+    let (mut first, mut first_high) = (None, None);
+    for (time, gates) in switches {
+        let now = [gates.high[leg], gates.low[leg]];
+        assert!(now != [true; 2], "leg {leg} shorts the supply at {time} s");
+        for side in 0..2 {
+            if before[side] && !now[side] {
+                ended[side] = *time;
+            }
+            if !before[side] && now[side] {
+                let dead = time - ended[1 - side];
+                assert!(dead > DEAD_TIME - 1e-9, "dead time of {dead} s of leg {leg} at {time} s");
+                first.get_or_insert(*time);
+            }
+        }
+        if now[0] {
+            first_high.get_or_insert(*time);
+        }
+        before = now;
+    }
+    let charged = first_high.expect("a duty") - first.expect("a charge");
+    assert!((0.02..0.03).contains(&charged), "{charged} s");
+}
+
+#[test]
+#[ignore = "needs the image: cargo xtask firmware"]
+fn saved_parameters_outlive_power() {
+    let mut board = booted();
+    let mut parameters = read_parameters(&mut board);
+    parameters.protection.temperature = 61.0;
+    let done = |answer: &Answer| assert!(matches!(answer, Answer::Done), "{answer:?}");
+    ask(&mut board, Request::WriteParameters(parameters), done);
+    ask_within(0.3, &mut board, Request::SaveParameters, done);
+    let after = status(&mut board);
+    assert_eq!((after.mode, after.faults), (Mode::Ready, Faults::NONE));
+    println!("stack: {} bytes", board.stack_use());
+    board.power_cut();
+    run(&mut board, 1.0);
+    board.power_up();
+    run(&mut board, READY);
+    assert_eq!(read_parameters(&mut board).protection.temperature, 61.0);
+}
+
+#[test]
+#[ignore = "needs the image: cargo xtask firmware"]
+fn power_that_goes_while_saving_leaves_the_old_parameters_or_the_new_ones() {
+    let done = |answer: &Answer| assert!(matches!(answer, Answer::Done), "{answer:?}");
+    let mut found = Vec::new();
+    for cut in [1, 2, 3, 5, 8] {
+        let mut board = booted();
+        let old = read_parameters(&mut board);
+        let mut new = old;
+        new.protection.temperature = 61.0;
+        ask(&mut board, Request::WriteParameters(new), done);
+        send(&mut board, Request::SaveParameters);
+        run(&mut board, 1e-3 * f64::from(cut));
+        board.power_cut();
+        board.power_up();
+        run(&mut board, READY);
+        let Status { mode, faults, .. } = status(&mut board);
+        assert_eq!((mode, faults), (Mode::Ready, Faults::NONE), "{cut} ms");
+        let parameters = read_parameters(&mut board);
+        assert!(parameters == old || parameters == new, "{cut} ms");
+        found.push(parameters == new);
+    }
+    // The cuts were early enough, and late enough.
+    assert!(!found[0] && found[4], "{found:?}");
 }

@@ -299,8 +299,11 @@ impl Rcc {
             (_, 0) => now + time,
             _ => at,
         };
-        let hse_ready =
-            if self.is_crystal_broken { NEVER } else { start(HSEON, self.hse_ready, CRYSTAL_START) };
+        let hse_ready = if self.is_crystal_broken {
+            NEVER
+        } else {
+            start(HSEON, self.hse_ready, CRYSTAL_START)
+        };
         let pll_ready = start(PLLON, self.pll_ready, PLL_START);
         (self.hse_ready, self.pll_ready) = (hse_ready, pll_ready);
         // The security system is switched off by a reset only.
