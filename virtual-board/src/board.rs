@@ -16,9 +16,6 @@ pub const LINE_RATE: u32 = 921_600;
 /// Cycles that the core takes to enter or to leave an exception (Cortex-M4 TRM).
 const ENTRY: u64 = 12;
 
-/// Exception number of the non-maskable interrupt.
-const NON_MASKABLE: u16 = 2;
-
 /// Why the emulation stopped. It says nothing about the hardware: what the hardware does is played on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Stop {
@@ -163,8 +160,7 @@ impl<W: World + Send + 'static> VirtualBoard<W> {
             return cycles;
         }
         self.statistics.follow(exception, |number| self.cpu.is_active(number));
-        // While it is handled a level makes an interrupt pending no more; `rsemu` does not know that of the non-maskable one.
-        self.cpu.set_nmi(false);
+        // What is handled has to be told to be so, before its level makes it pending again.
         self.next = self.now;
         // `rsemu` counts stacking twice.
         cycles.min(ENTRY)
@@ -206,9 +202,9 @@ impl<W: World + Send + 'static> VirtualBoard<W> {
             chip.advance(until);
         }
         let [high, low] = self.forced;
-        self.cpu.set_interrupts((chip.interrupts() | high) & !low);
-        self.cpu.set_nmi(chip.nmi() && !self.cpu.is_active(NON_MASKABLE));
-        self.next = chip.next_event();
+        let levels = (chip.interrupts() | high) & !low;
+        let are_set = self.cpu.set_interrupts(levels, chip.nmi());
+        self.next = if are_set { chip.next_event() } else { self.now + 1 };
         Ok(())
     }
 

@@ -17,29 +17,43 @@ const CONTROL: u16 = 18 + 16;
 /// When the firmware has learnt its offsets and waits (s).
 const READY: f64 = 0.3;
 
-/// A board at rest: 24 V, 25 °C, no motor. Writes down what the gates were told.
+/// A board with 24 V, 25 °C, no motor, but an encoder that turns and a current from V to U through the shunts, both as told. Writes down
+/// what the gates were told, and when U's current was looked at.
 #[derive(Default)]
 struct Bench {
+    /// Speed (rad/s).
+    speed: f64,
+    /// Armature current (A), which leaves U and so lowers its reading.
+    current: f64,
     switches: Vec<(f64, Gates)>,
+    looks: Vec<f64>,
 }
+
+/// Voltage at a shunt's pad without current, and per ampere to ground (V, V/A): 2.057 V and 27.43 mV/A after the amplifier.
+const PAD: f64 = 2.057 / 16.0;
+const PAD_PER_AMPERE: f64 = 27.43e-3 / 16.0;
 
 impl World for Bench {
     fn switch(&mut self, time: f64, gates: Gates) {
         self.switches.push((time, gates));
     }
 
-    fn voltage(&mut self, _time: f64, pin: AnaloguePin) -> f64 {
+    fn voltage(&mut self, time: f64, pin: AnaloguePin) -> f64 {
         match pin {
-            // 2.057 V after the amplifier.
-            AnaloguePin::ShuntU | AnaloguePin::ShuntV | AnaloguePin::ShuntW => 0.128_56,
+            AnaloguePin::ShuntU => {
+                self.looks.push(time);
+                PAD - PAD_PER_AMPERE * self.current
+            }
+            AnaloguePin::ShuntV => PAD + PAD_PER_AMPERE * self.current,
+            AnaloguePin::ShuntW => PAD,
             AnaloguePin::BusVoltage => 24.0 * 18.0 / 187.0,
             AnaloguePin::Temperature => 3.3 * 4.7 / 14.7,
             AnaloguePin::Potentiometer => 0.0,
         }
     }
 
-    fn encoder_edges(&mut self, _time: f64) -> i64 {
-        0
+    fn encoder_edges(&mut self, time: f64) -> i64 {
+        (self.speed * time / std::f64::consts::TAU * 4096.0).floor() as i64
     }
 
     fn level(&mut self, _time: f64, pin: InputPin) -> bool {
@@ -59,7 +73,11 @@ fn image() -> Image {
 }
 
 fn booted() -> VirtualBoard<Bench> {
-    let mut board = VirtualBoard::new(&image(), Bench::default());
+    booted_in(Bench::default())
+}
+
+fn booted_in(world: Bench) -> VirtualBoard<Bench> {
+    let mut board = VirtualBoard::new(&image(), world);
     run(&mut board, READY);
     board
 }
@@ -109,6 +127,17 @@ fn read_parameters(board: &mut VirtualBoard<Bench>) -> Parameters {
         Answer::Parameters(parameters) => *parameters,
         other => panic!("{other:?}"),
     })
+}
+
+fn done(answer: &Answer) {
+    assert!(matches!(answer, Answer::Done), "{answer:?}");
+}
+
+/// Arms, and waits until the bridge is driven.
+fn arm(board: &mut VirtualBoard<Bench>) {
+    ask(board, Request::Command(Command::Arm), done);
+    run(board, 0.05);
+    assert_eq!(status(board).mode, Mode::Running);
 }
 
 fn status(board: &mut VirtualBoard<Bench>) -> Status {
@@ -202,10 +231,7 @@ fn a_broken_crystal_ends_in_a_watchdog_reset() {
 #[ignore = "needs the image: cargo xtask firmware"]
 fn armed_it_charges_then_drives_and_keeps_the_dead_time_throughout() {
     let mut board = booted();
-    let done = |answer: &Answer| assert!(matches!(answer, Answer::Done), "{answer:?}");
-    ask(&mut board, Request::Command(Command::Arm), done);
-    run(&mut board, 0.05);
-    assert_eq!(status(&mut board).mode, Mode::Running);
+    arm(&mut board);
     ask(&mut board, Request::Command(Command::Off), done);
     assert_eq!(board.gates(), Gates::OFF);
     run(&mut board, 0.05);
@@ -253,7 +279,6 @@ fn saved_parameters_outlive_power() {
     let mut board = booted();
     let mut parameters = read_parameters(&mut board);
     parameters.protection.temperature = 61.0;
-    let done = |answer: &Answer| assert!(matches!(answer, Answer::Done), "{answer:?}");
     ask(&mut board, Request::WriteParameters(parameters), done);
     ask_within(0.3, &mut board, Request::SaveParameters, done);
     let after = status(&mut board);
@@ -269,7 +294,6 @@ fn saved_parameters_outlive_power() {
 #[test]
 #[ignore = "needs the image: cargo xtask firmware"]
 fn power_that_goes_while_saving_leaves_the_old_parameters_or_the_new_ones() {
-    let done = |answer: &Answer| assert!(matches!(answer, Answer::Done), "{answer:?}");
     let mut found = Vec::new();
     for cut in [1, 2, 3, 5, 8] {
         let mut board = booted();
@@ -290,4 +314,78 @@ fn power_that_goes_while_saving_leaves_the_old_parameters_or_the_new_ones() {
     }
     // The cuts were early enough, and late enough.
     assert!(!found[0] && found[4], "{found:?}");
+}
+
+#[test]
+#[ignore = "needs the image: cargo xtask firmware"]
+fn a_turning_encoder_is_measured() {
+    let mut board = booted_in(Bench { speed: 100.0, ..Bench::default() });
+    ask(&mut board, Request::SetTelemetry(20), done);
+    run(&mut board, 0.2);
+    let (mut decoder, mut count) = (Decoder::new(), 0);
+    for byte in board.received() {
+        if let Some(message) = decoder.feed(byte)
+            && let Ok(Message::Telemetry(telemetry)) = postcard::from_bytes(message)
+        {
+            // A count in 16 reads of a period would be 4 rad/s: the reads are where they should be.
+            assert!((telemetry.speed - 100.0).abs() < 0.2, "{telemetry:?}");
+            assert!((telemetry.bus_voltage - 24.0).abs() < 0.02, "{telemetry:?}");
+            count += 1;
+        }
+    }
+    assert!(count > 100);
+}
+
+#[test]
+#[ignore = "needs the image: cargo xtask firmware"]
+fn currents_are_sampled_where_their_ripple_crosses_its_mean() {
+    let mut board = booted();
+    arm(&mut board);
+    board.world(|world| {
+        world.switches.clear();
+        world.looks.clear();
+    });
+    run(&mut board, 1e-3);
+    let (switches, looks) =
+        board.world(|world| (world.switches.clone(), std::mem::take(&mut world.looks)));
+    // The middle between two voltage pulses: from U's high side off to its low side off.
+    let falls = |level: fn(&Gates) -> bool| {
+        let pairs = switches.iter().zip(switches.iter().skip(1));
+        let fall = pairs.filter(move |(before, after)| level(&before.1) && !level(&after.1));
+        fall.map(|(_, after)| after.0).collect::<Vec<_>>()
+    };
+    let (high, low) = (falls(|gates| gates.high[0]), falls(|gates| gates.low[0]));
+    let mut count = 0;
+    for off in high {
+        if let Some(end) = low.iter().find(|end| **end > off) {
+            let middle = (off + end) / 2.0;
+            assert!(looks.iter().any(|look| (look - middle).abs() < 20e-9), "{middle}");
+            count += 1;
+        }
+    }
+    assert!(count > 15);
+}
+
+#[test]
+#[ignore = "needs the image: cargo xtask firmware"]
+fn a_current_beyond_the_comparators_threshold_ends_the_outputs_without_the_core() {
+    let mut board = booted();
+    arm(&mut board);
+    // The core does nothing about it.
+    board.force_interrupt(18, Some(false));
+    board.world(|world| world.current = -39.5);
+    let start = board.time();
+    run(&mut board, 50e-6);
+    assert!(!board.main_output());
+    // The comparator's next look and the filter.
+    assert!(board.off_since() - start < 6e-6, "{}", board.off_since() - start);
+    board.force_interrupt(18, None);
+    run(&mut board, 0.01);
+    board.world(|world| world.current = 0.0);
+    let Status { mode, faults, .. } = status(&mut board);
+    assert_eq!(mode, Mode::Faulted);
+    assert!(faults != Faults::NONE);
+    run(&mut board, 0.05);
+    assert!(!board.main_output(), "until it is cleared");
+    assert!(board.off_since() - start < 6e-6);
 }
