@@ -11,10 +11,10 @@
 //! d = −T_l/J (rad/s²) of a load torque T_l (N·m) that opposes positive motion.
 
 use crate::config::{ConfigError, non_negative, positive};
-use serde::{Deserialize, Serialize};
+use crate::schema::group;
 
 /// Parameters of a brushed, permanent-magnet or separately excited DC motor with what turns with it.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotorParameters {
     /// Moment of inertia J of rotor and load (kg·m²). Positive.
     pub inertia: f32,
@@ -27,6 +27,8 @@ pub struct MotorParameters {
     /// Back-EMF constant Kb (V·s/rad), which is the torque constant (N·m/A) too. Positive.
     pub back_emf_constant: f32,
 }
+
+group! { MotorParameters { inertia, inductance, resistance, viscous_friction, back_emf_constant } }
 
 impl MotorParameters {
     /// The motor of the paper's Table 1.

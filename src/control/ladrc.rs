@@ -20,12 +20,12 @@ use crate::config::{ConfigError, positive, require};
 use crate::estimate::{SpeedEstimator, SpeedSource};
 use crate::math::{Scalar, exp_m1};
 use crate::per_unit::Bases;
+use crate::schema::group;
 use crate::sense::Measured;
 use crate::trajectory::Reference;
-use serde::{Deserialize, Serialize};
 
 /// What LADRC is built from.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LadrcConfig {
     /// Bandwidth wc of the speed loop (rad/s). Positive, and at most 0.6 of the current loop's.
     pub control_bandwidth: f32,
@@ -37,6 +37,8 @@ pub struct LadrcConfig {
     /// Where the speed that the observer sees comes from.
     pub speed: SpeedSource,
 }
+
+group! { LadrcConfig { control_bandwidth, observer_bandwidth, current_bandwidth, speed } }
 
 impl LadrcConfig {
     /// From the bandwidth of the speed loop (rad/s) alone: an observer four times as fast (three to five times is

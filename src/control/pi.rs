@@ -30,12 +30,12 @@ use crate::config::{ConfigError, positive, require};
 use crate::estimate::{SpeedEstimator, SpeedSource};
 use crate::math::{Scalar, exp_m1};
 use crate::per_unit::Bases;
+use crate::schema::group;
 use crate::sense::Measured;
 use crate::trajectory::Reference;
-use serde::{Deserialize, Serialize};
 
 /// What cascaded PI controllers are built from.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PiConfig {
     /// Bandwidth wc of the current loop (rad/s). Positive, and at most 0.75/TΣ, where TΣ is 1.5 periods, or half a
     /// period if the voltage takes effect at once.
@@ -51,6 +51,8 @@ pub struct PiConfig {
     /// Where the speed comes from.
     pub speed: SpeedSource,
 }
+
+group! { PiConfig { current_bandwidth, speed_bandwidth, speed_damping, disturbance, speed } }
 
 impl PiConfig {
     /// The current loop by the magnitude optimum, the speed loop by the symmetrical optimum of the standard factor 2.

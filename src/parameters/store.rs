@@ -15,9 +15,7 @@
 //!
 //! Everything blocks: a microcontroller that erases the flash that it runs from stalls in any case. So save while disarmed only.
 
-use super::Parameters;
-use super::named::{Error, Value};
-use crate::checksum::CRC_32;
+use super::{Parameters, records};
 use core::cmp::Reverse;
 use core::fmt;
 use core::ops::Range;
@@ -27,17 +25,14 @@ use embedded_storage_async::nor_flash as nonblocking;
 use sequential_storage::cache::{Cache, Uncached};
 use sequential_storage::map::{MapConfig, MapStorage};
 
-/// Largest set, in bytes. Today's take up to 484: a later firmware's may have half as many parameters more and still be read.
-const LARGEST: usize = 768;
+/// Largest set, in bytes. Today's take up to 333: a later firmware's may have half as many parameters more and still be read.
+const LARGEST: usize = 512;
 
 /// Format of a set: what stands ahead of its records, and what a record is.
-const FORMAT: u8 = 1;
+const FORMAT: u8 = 2;
 
 /// Bytes ahead of the records: the format and the generation.
 const HEAD: usize = 5;
-
-/// Largest value of a record, in bytes: the name of a variant.
-const LARGEST_VALUE: usize = 40;
 
 /// Keys of a half's map.
 const SET: u8 = 0;
@@ -239,81 +234,26 @@ fn encode<'b>(
     generation: u32,
     buffer: &'b mut [u8; LARGEST],
 ) -> Option<&'b [u8]> {
-    let mut length = 0;
-    append(buffer, &mut length, &[FORMAT]).ok()?;
-    append(buffer, &mut length, &generation.to_le_bytes()).ok()?;
-    parameters.write(&mut |path, value| append_record(buffer, &mut length, path, &value)).ok()?;
-    buffer.get(..length)
-}
-
-fn append_record(
-    buffer: &mut [u8; LARGEST],
-    length: &mut usize,
-    path: &str,
-    value: &Value,
-) -> Result<(), Error> {
-    let mut bytes = [0; LARGEST_VALUE];
-    let value = postcard::to_slice(value, &mut bytes).map_err(|_| Error::Unsupported)?;
-    append(buffer, length, &key(path).to_le_bytes())?;
-    append(buffer, length, &[value.len() as u8])?;
-    append(buffer, length, value)
-}
-
-fn append(buffer: &mut [u8; LARGEST], length: &mut usize, bytes: &[u8]) -> Result<(), Error> {
-    let end = *length + bytes.len();
-    buffer.get_mut(*length..end).ok_or(Error::Full)?.copy_from_slice(bytes);
-    *length = end;
-    Ok(())
+    let (head, records) = buffer.split_first_chunk_mut::<HEAD>()?;
+    let [format, count @ ..] = head;
+    (*format, *count) = (FORMAT, generation.to_le_bytes());
+    let length = records::write(&mut { *parameters }, records)?;
+    buffer.get(..HEAD + length)
 }
 
 /// A set's generation and records.
-fn split(set: &[u8]) -> Option<(u32, Records<'_>)> {
+fn split(set: &[u8]) -> Option<(u32, &[u8])> {
     let ([FORMAT, generation @ ..], records) = set.split_first_chunk::<HEAD>()? else {
         return None;
     };
-    Some((u32::from_le_bytes(*generation), Records(records)))
+    Some((u32::from_le_bytes(*generation), records))
 }
 
 /// The parameters of a stored set, completed from `defaults`.
 fn decode(set: &[u8], defaults: &Parameters) -> Option<Parameters> {
-    let mut buffer = [0; LARGEST];
-    let (_, defaults) = split(encode(defaults, 0, &mut buffer)?)?;
-    let (_, stored) = split(set)?;
-    Parameters::read(&|path, accept| {
-        stored.find(path, accept).or_else(|| defaults.find(path, accept))
-    })
-    .ok()
-}
-
-/// What a parameter's record is found by.
-fn key(path: &str) -> u32 {
-    CRC_32.checksum(path.as_bytes())
-}
-
-/// Records of a set: a key, the length of a value, the value.
-#[derive(Clone, Copy)]
-struct Records<'a>(&'a [u8]);
-
-impl<'a> Records<'a> {
-    /// The first acceptable value of a path. One of a kind that this firmware does not know is none.
-    fn find(self, path: &str, accept: &dyn Fn(&Value) -> bool) -> Option<Value<'a>> {
-        let wanted = key(path);
-        self.into_iter()
-            .filter(|(key, _)| *key == wanted)
-            .find_map(|(_, value)| postcard::from_bytes(value).ok().filter(accept))
-    }
-}
-
-impl<'a> Iterator for Records<'a> {
-    type Item = (u32, &'a [u8]);
-
-    fn next(&mut self) -> Option<Self::Item> {
-        let (key, rest) = self.0.split_first_chunk()?;
-        let (length, rest) = rest.split_first()?;
-        let (value, rest) = rest.split_at_checked(usize::from(*length))?;
-        self.0 = rest;
-        Some((u32::from_le_bytes(*key), value))
-    }
+    let (_, records) = split(set)?;
+    let mut parameters = *defaults;
+    records::read(&mut parameters, records).then_some(parameters)
 }
 
 /// A flash that blocks, for a crate that waits.
