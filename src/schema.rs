@@ -205,8 +205,9 @@ impl Parameter for bool {
     }
 
     fn set_content(&mut self, content: Content) -> bool {
-        *self = content == Content::Name(1);
-        matches!(content, Content::Name(_))
+        let Content::Name(place) = content else { return false };
+        *self = place > 0;
+        true
     }
 
     fn names(&self) -> &'static [&'static str] {
