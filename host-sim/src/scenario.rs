@@ -593,13 +593,32 @@ impl Scenario {
             rule(resolved, &frequency, "must be at most a tenth of timing.rate", sine.frequency)?;
             finite(&format!("load.sines[{index}].phase"), sine.phase)?;
         }
-        // Then the drive's own rules, with its own names for the same fields.
+        // Then the drive's own rules.
         let Parameters { drive, protection } = self.parameters();
-        Supervisor::<f32>::new(&drive, &protection)?;
+        Supervisor::<f32>::new(&drive, &protection)
+            .map_err(|error| Broken { field: self.name_in_file(error.field), ..error.into() })?;
         let steps = Plant::new(self.motor).steps_for(1.0 / self.timing.rate);
         let playable = steps <= MOST_STEPS;
         rule(playable, "motor.inductance", TOO_FAST, self.motor.inductance)?;
         Ok(())
+    }
+
+    /// What a drive's parameter is called in a scenario.
+    fn name_in_file(&self, parameter: &str) -> String {
+        let table = match self.control.controller {
+            Controller::Bs | Controller::BsQsmdo | Controller::BsQismc => "control",
+            Controller::DriveQsmdo | Controller::DriveQismc => "tuning",
+            Controller::Pi => "pi",
+            Controller::Ladrc => "ladrc",
+        };
+        let (group, name) = parameter.rsplit_once('.').unwrap_or(("", parameter));
+        match (group, name) {
+            ("control.speed", "bandwidth") => "control.speed_bandwidth".to_owned(),
+            ("control.gains", gain) => format!("gains.{gain}"),
+            ("control", "observer_bandwidth") if table == "tuning" => "tuning.bandwidth".to_owned(),
+            ("control", name) if name != "speed" => format!("{table}.{name}"),
+            _ => parameter.to_owned(),
+        }
     }
 
     /// The configuration of the drive that this scenario tests.

@@ -108,7 +108,7 @@ impl<S: Scalar, const SHIFT: u32> Channel<S, SHIFT> {
         };
         require(
             config.form == Form::Implicit || S::ANY_TIME,
-            "form",
+            "control.form",
             "must be implicit in fixed point",
             0.0,
         )?;

@@ -34,11 +34,11 @@ impl Gains {
         Self { c: 200.0, k1: 1300.0, epsilon1: 0.05, k2: 755_000.0, epsilon2: 5.0 };
 
     pub(super) fn check(&self) -> Result<(), ConfigError> {
-        positive("gains.c", self.c)?;
-        positive("gains.k1", self.k1)?;
-        positive("gains.epsilon1", self.epsilon1)?;
-        positive("gains.k2", self.k2)?;
-        positive("gains.epsilon2", self.epsilon2)?;
+        positive("control.gains.c", self.c)?;
+        positive("control.gains.k1", self.k1)?;
+        positive("control.gains.epsilon1", self.epsilon1)?;
+        positive("control.gains.k2", self.k2)?;
+        positive("control.gains.epsilon2", self.epsilon2)?;
         Ok(())
     }
 }
