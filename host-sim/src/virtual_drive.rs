@@ -21,8 +21,8 @@ use std::collections::VecDeque;
 use std::ops::Range;
 use std::time::{Duration, Instant};
 
-/// Where the flash keeps parameters: its last four pages.
-pub const REGION: Range<u32> = 0x1_e000..0x2_0000;
+/// Where the flash keeps parameters: its last two pages.
+pub const REGION: Range<u32> = 0x1_f000..0x2_0000;
 
 /// Telemetry that may wait.
 const WAITING: usize = 64;
