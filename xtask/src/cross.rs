@@ -9,8 +9,9 @@ use std::fs;
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::{Path, PathBuf};
 
-const DEBIAN_PACKAGES: [&str; 3] = ["rustc-web", "cargo-web", "rust-web-src"];
+const DEBIAN_PACKAGES: [&str; 4] = ["rustc-web", "cargo-web", "rust-web-src", "rust-web-clippy"];
 const DEBIAN_RUSTC: &str = "/usr/bin/rustc";
+const DEBIAN_RUSTDOC: &str = "/usr/bin/rustdoc";
 const DEBIAN_CARGO: &str = "/usr/bin/cargo";
 
 /// Where the standard library for Cortex-M comes from.
@@ -53,10 +54,9 @@ impl Cross {
 
     /// Builds a board's firmware; gives its ELF, at `target/firmware/<board>.elf`.
     pub fn firmware(&self, board: &Board) -> Result<PathBuf> {
-        let Board { name, binary, features, target, profile, .. } = board;
-        self.cargo()
-            .args(&["build", "--target", target, "--profile", profile])
-            .args(&["--package", "quasidrive", "--bin", binary, "--features", features])
+        let Board { name, binary, target, profile, .. } = board;
+        self.cargo("build", board)
+            .args(&["--bin", binary])
             // Without it all but errors are compiled out.
             .env("DEFMT_LOG", "info")
             // What the image tells of itself over the link.
@@ -69,6 +69,16 @@ impl Cross {
         Ok(elf)
     }
 
+    /// Lints what only a board's target compiles, and checks its documentation.
+    pub fn lint(&self, board: &Board) -> Result<()> {
+        self.cargo("clippy", board).args(&["--lib", "--bins", "--", "--deny", "warnings"]).run()?;
+        self.cargo("doc", board)
+            .args(&["--lib", "--no-deps"])
+            // Debian's has flags of its own.
+            .env("RUSTDOCFLAGS", "--deny warnings")
+            .run()
+    }
+
     /// The compiler's version.
     pub fn compiler(&self) -> Result<String> {
         let rustc = match self {
@@ -79,8 +89,10 @@ impl Cross {
         Ok(version.with_context(|| format!("{rustc} does not run"))?.trim().to_owned())
     }
 
-    fn cargo(&self) -> Shell {
-        match self {
+    /// A command of cargo's on the firmware of a board, as it is flashed.
+    fn cargo(&self, command: &str, board: &Board) -> Shell {
+        let Board { features, target, profile, .. } = board;
+        let cargo = match self {
             Self::Rustup => cargo(&[]),
             Self::Debian { sysroot, linker } => {
                 let flags = format!("--sysroot\u{1f}{}", sysroot.display());
@@ -89,8 +101,11 @@ impl Cross {
                     cargo.env(&format!("CARGO_TARGET_{target}_LINKER"), linker)
                 })
             }
-        }
-        .env("CARGO_TARGET_DIR", self.target_dir())
+        };
+        cargo
+            .args(&[command, "--target", target, "--profile", profile])
+            .args(&["--package", "quasidrive", "--features", features])
+            .env("CARGO_TARGET_DIR", self.target_dir())
     }
 
     /// Each toolchain has a folder of its own: cargo rebuilds everything when the compiler changes.
@@ -201,11 +216,16 @@ fn build_sysroot(sysroot: &Path, target: &str, libraries: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Debian's cargo and rustc, with flags for the target and none of the host's.
+/// Debian's cargo, rustc and rustdoc, with flags for the target and none of the host's.
 fn debian_cargo(encoded_flags: &str) -> Shell {
+    let path = format!("/usr/bin:{}", std::env::var("PATH").unwrap_or_default());
     program(DEBIAN_CARGO)
         .env("RUSTC", DEBIAN_RUSTC)
+        .env("RUSTDOC", DEBIAN_RUSTDOC)
         .env("CARGO_ENCODED_RUSTFLAGS", encoded_flags)
+        .env("CARGO_ENCODED_RUSTDOCFLAGS", format!("{encoded_flags}\u{1f}--deny\u{1f}warnings"))
         .env_remove("RUSTFLAGS")
         .env_remove("CARGO")
+        // Clippy, and what it calls in turn, are looked for here: not in rustup's folder, which often comes first.
+        .env("PATH", path)
 }

@@ -13,7 +13,7 @@ mod size;
 mod thumb;
 
 use anyhow::Result;
-use boards::BOARDS;
+use boards::{BOARDS, Board};
 use clap::{Parser, Subcommand};
 use cross::{Cross, ToolchainChoice};
 use shell::{cargo, program, root};
@@ -42,7 +42,7 @@ enum Task {
         #[arg(long, default_value = "auto")]
         toolchain: ToolchainChoice,
     },
-    /// Build the firmware of every board, to target/firmware/, and check its control interrupt.
+    /// Lint and build the firmware of every board, to target/firmware/, and check its control interrupt.
     Firmware {
         /// Where the standard library for Cortex-M comes from.
         #[arg(long, default_value = "auto")]
@@ -90,7 +90,7 @@ fn execute(task: Task) -> Result<()> {
         Task::Test { toolchain } => test(toolchain),
         Task::Firmware { toolchain } => {
             let cross = Cross::set_up(toolchain)?;
-            BOARDS.iter().try_for_each(|board| interrupt::check(board, &cross.firmware(board)?))
+            BOARDS.iter().try_for_each(|board| firmware(&cross, board))
         }
         Task::Count { toolchain, rewrite } => count::count(&setup::everything(toolchain)?, rewrite),
         Task::FlashEsc1 { toolchain } => {
@@ -100,6 +100,12 @@ fn execute(task: Task) -> Result<()> {
         Task::Size { toolchain } => size::size(&Cross::set_up(toolchain)?),
         Task::Plots => host_sim(&["paper", "--plots", "docs"]),
     }
+}
+
+/// Lints and builds a board's firmware, and checks its control interrupt.
+fn firmware(cross: &Cross, board: &Board) -> Result<()> {
+    cross.lint(board)?;
+    interrupt::check(board, &cross.firmware(board)?)
 }
 
 fn demo() -> Result<()> {
@@ -146,7 +152,7 @@ fn test(toolchain: ToolchainChoice) -> Result<()> {
     cargo(&["clippy", "--workspace", "--all-targets", "--", "--deny", "warnings"]).run()?;
     cargo(&["test", "--workspace"]).run()?;
     for board in &BOARDS {
-        interrupt::check(board, &cross.firmware(board)?)?;
+        firmware(&cross, board)?;
     }
     size::size(&cross)?;
     processor_in_the_loop()?;

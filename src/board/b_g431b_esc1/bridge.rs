@@ -49,7 +49,7 @@ pub const PERIOD: u32 = 2 * TOP as u32;
 pub const RATE: f32 = CLOCK as f32 / PERIOD as f32;
 
 /// Ticks from the trigger of the converters to the trough: 3.5 cycles of latency and 12.5 of sampling, of 4 ticks each.
-const SAMPLE_BEFORE: u16 = 64;
+pub const SAMPLE_BEFORE: u16 = 64;
 
 /// Dead time (ticks): 0.8 µs. Boards run with 0.25 to 1 µs; the drivers (L6387E) interlock their inputs but delay by up to 0.15 µs.
 const DEAD_TIME: u16 = 136;

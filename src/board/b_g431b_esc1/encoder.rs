@@ -16,7 +16,7 @@ use embassy_stm32::pac::{DMA1, DMAMUX1, TIM3, TIM4};
 use embassy_stm32::{Peri, peripherals, rcc};
 
 /// Ticks from one read to the next.
-const DISTANCE: u16 = (super::bridge::PERIOD / READS as u32) as u16;
+pub const DISTANCE: u16 = (super::bridge::PERIOD / READS as u32) as u16;
 
 /// Compare value without shift: the last read of a period is at its end.
 const LATEST: u16 = DISTANCE - 1;

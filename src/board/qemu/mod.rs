@@ -36,18 +36,18 @@ unsafe impl cortex_m::interrupt::InterruptNumber for Interrupt {
     }
 }
 
-/// A peripheral's registers, by index.
+/// A peripheral's registers, by their offset in bytes.
 struct Registers(*mut u32);
 
 impl Registers {
-    fn read(&self, index: usize) -> u32 {
-        // SAFETY: the addresses and indices in this module are those of readable registers.
-        unsafe { self.0.add(index).read_volatile() }
+    fn read(&self, offset: usize) -> u32 {
+        // SAFETY: the addresses and offsets in this module are those of readable registers.
+        unsafe { self.0.byte_add(offset).read_volatile() }
     }
 
-    fn write(&self, index: usize, value: u32) {
-        // SAFETY: the addresses and indices in this module are those of writable registers.
-        unsafe { self.0.add(index).write_volatile(value) }
+    fn write(&self, offset: usize, value: u32) {
+        // SAFETY: the addresses and offsets in this module are those of writable registers.
+        unsafe { self.0.byte_add(offset).write_volatile(value) }
     }
 }
 

@@ -22,11 +22,11 @@ const TIMER0: Registers = Registers(0x4000_0000 as *mut u32);
 pub struct Port;
 
 impl Port {
-    const DATA: usize = 0;
-    const STATE: usize = 1;
-    const CONTROL: usize = 2;
-    const INTERRUPT: usize = 3;
-    const BAUD_DIVISOR: usize = 4;
+    const DATA: usize = 0x00;
+    const STATE: usize = 0x04;
+    const CONTROL: usize = 0x08;
+    const INTERRUPT: usize = 0x0c;
+    const BAUD_DIVISOR: usize = 0x10;
 
     const STATE_TRANSMIT_FULL: u32 = 1 << 0;
     const STATE_RECEIVE_FULL: u32 = 1 << 1;
@@ -81,10 +81,10 @@ pub struct Pacer {
 }
 
 impl Pacer {
-    const CONTROL: usize = 0;
-    const VALUE: usize = 1;
-    const RELOAD: usize = 2;
-    const INTERRUPT_CLEAR: usize = 3;
+    const CONTROL: usize = 0x00;
+    const VALUE: usize = 0x04;
+    const RELOAD: usize = 0x08;
+    const INTERRUPT_CLEAR: usize = 0x0c;
     const ENABLE_WITH_INTERRUPT: u32 = 1 << 0 | 1 << 3;
 
     /// For a rate (Hz).

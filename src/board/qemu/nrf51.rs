@@ -21,15 +21,15 @@ const TIMER0: Registers = Registers(0x4000_8000 as *mut u32);
 pub struct Port;
 
 impl Port {
-    const START_RECEIVER: usize = 0x000 / 4;
-    const START_TRANSMITTER: usize = 0x008 / 4;
-    const RECEIVED: usize = 0x108 / 4;
-    const TRANSMITTED: usize = 0x11c / 4;
-    const INTERRUPT_SET: usize = 0x304 / 4;
-    const INTERRUPT_CLEAR: usize = 0x308 / 4;
-    const ENABLE: usize = 0x500 / 4;
-    const RECEIVE_DATA: usize = 0x518 / 4;
-    const TRANSMIT_DATA: usize = 0x51c / 4;
+    const START_RECEIVER: usize = 0x000;
+    const START_TRANSMITTER: usize = 0x008;
+    const RECEIVED: usize = 0x108;
+    const TRANSMITTED: usize = 0x11c;
+    const INTERRUPT_SET: usize = 0x304;
+    const INTERRUPT_CLEAR: usize = 0x308;
+    const ENABLE: usize = 0x500;
+    const RECEIVE_DATA: usize = 0x518;
+    const TRANSMIT_DATA: usize = 0x51c;
 
     const ENABLED: u32 = 4;
     const INTERRUPT_RECEIVED: u32 = 1 << 2;
@@ -79,14 +79,14 @@ pub struct Pacer {
 }
 
 impl Pacer {
-    const START: usize = 0x000 / 4;
-    const CLEAR: usize = 0x00c / 4;
-    const COMPARED: usize = 0x140 / 4;
-    const SHORTCUTS: usize = 0x200 / 4;
-    const INTERRUPT_SET: usize = 0x304 / 4;
-    const BIT_MODE: usize = 0x508 / 4;
-    const PRESCALER: usize = 0x510 / 4;
-    const COMPARE: usize = 0x540 / 4;
+    const START: usize = 0x000;
+    const CLEAR: usize = 0x00c;
+    const COMPARED: usize = 0x140;
+    const SHORTCUTS: usize = 0x200;
+    const INTERRUPT_SET: usize = 0x304;
+    const BIT_MODE: usize = 0x508;
+    const PRESCALER: usize = 0x510;
+    const COMPARE: usize = 0x540;
 
     const STOP_WHEN_COMPARED: u32 = 1 << 8;
     const INTERRUPT_COMPARED: u32 = 1 << 16;
