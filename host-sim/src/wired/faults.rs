@@ -1,6 +1,6 @@
 //! Faults for a campaign: what breaks, and when.
 
-use super::circuit::Rail;
+use super::circuit::Short;
 use super::encoder::EncoderFault;
 use super::pads::{ShuntFault, ThermistorFault};
 use std::ops::Range;
@@ -16,8 +16,8 @@ pub enum Fault {
     MotorShorted,
     /// A motor lead is off. Its current ends at once.
     LeadOpen,
-    /// The output of leg 0 (U) or 1 (V) touches a rail.
-    LegShorted(usize, Rail),
+    /// A leg's output touches a rail.
+    LegShorted(Short),
     /// The shaft is held.
     RotorBlocked,
     /// The supply is this (V).

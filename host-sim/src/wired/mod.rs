@@ -1,7 +1,7 @@
 //! A scenario's motor behind the pins of an emulated B-G431B-ESC1: what drives it is the switches' state.
 //!
 //! - [`drivers`]: from gate signals to switches, with dead time and bootstrap capacitors watched;
-//! - [`circuit`]: motor, bridge and bus between two changes of the switches;
+//! - [`circuit`]: what is connected between bus and shaft; [`integration`] steps it;
 //! - [`pads`]: voltages at the analogue pins; [`encoder`]: the encoder's signals;
 //! - [`faults`]: what breaks, and when.
 //!
@@ -12,15 +12,15 @@ pub mod circuit;
 pub mod drivers;
 pub mod encoder;
 pub mod faults;
+pub mod integration;
 pub mod pads;
 #[cfg(test)]
 mod tests;
 
-use crate::plant::Plant;
 use crate::scenario::Scenario;
 use crate::sensors::{Disc, SensorsTable};
 use circuit::{Circuit, Energy, Leads, Ramp, State, U, V};
-use drivers::{Drivers, Hazard, Switches};
+use drivers::{Drivers, Hazard};
 use encoder::Encoder;
 use faults::{Fault, Injection};
 use pads::{Errors, Pads};
@@ -92,20 +92,7 @@ impl WiredWorld {
             shunt_noise: std::f64::consts::SQRT_2 * sensors.current_noise,
             bus_noise: sensors.bus_voltage_noise,
         };
-        let circuit = Circuit {
-            plant: Plant::new(scenario.motor),
-            load: scenario.load.clone(),
-            supply: scenario.bus.voltage,
-            supply_steps: scenario.bus.steps.clone(),
-            supply_resistance: scenario.bus.resistance,
-            start,
-            polarity: if scenario.bridge.leads_reversed { -1.0 } else { 1.0 },
-            switches: [Switches::Open; 2],
-            leads: Leads::Motor,
-            short: None,
-            is_blocked: false,
-            ramp: None,
-        };
+        let circuit = Circuit::new(scenario, start);
         let steps = scenario.load.steps.iter().chain(&scenario.bus.steps);
         let mut jumps: Vec<f64> = steps.map(|step| start + step.time).collect();
         jumps.push(start);
@@ -232,7 +219,7 @@ impl WiredWorld {
                 }
                 Fault::MotorShorted => circuit.leads = Leads::Shorted,
                 Fault::LeadOpen => circuit.leads = Leads::Open,
-                Fault::LegShorted(leg, rail) => circuit.short = Some((leg, rail)),
+                Fault::LegShorted(short) => circuit.short = Some(short),
                 Fault::RotorBlocked => circuit.is_blocked = true,
                 Fault::Supply(voltage) => {
                     circuit.ramp = Some(Ramp { from, voltage: Some(voltage), rate: 0.0 });
