@@ -39,7 +39,8 @@ fn wired_period(criterion: &mut Criterion) {
         (43.75e-6, [false, false], [false, true]),
         (44.55e-6, [false, false], [true, true]),
     ];
-    let mut world = WiredWorld::new(&Scenario::paper(), 0.0, Vec::new());
+    let mut world = WiredWorld::new(&Scenario::paper());
+    world.start_profiles(0.0);
     world.switch(0.0, Gates { low: [true, true, false], ..Gates::OFF });
     let mut start = PERIOD;
     criterion.bench_function("wired world, a period", |bencher| {

@@ -9,10 +9,20 @@ use crate::plant::{Plant, State as Motion};
 use crate::profile::{Load, Step, value_at};
 use crate::scenario::Scenario;
 
-/// Legs that the motor is connected to.
-pub const U: usize = 0;
-/// The other one.
-pub const V: usize = 1;
+/// A leg that the motor is connected to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Leg {
+    /// The one that a positive lead current flows out of.
+    U,
+    /// The one that it flows into.
+    V,
+}
+
+/// The legs, as indices.
+pub(super) const U: usize = Leg::U as usize;
+pub(super) const V: usize = Leg::V as usize;
+pub(super) const LEGS: [usize; 2] = [U, V];
+
 /// Signs of their currents by the lead current's.
 pub(super) const OUTWARD: [f64; 2] = [1.0, -1.0];
 
@@ -60,8 +70,8 @@ pub enum Leads {
 /// A leg's output that touches a rail.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Short {
-    /// The leg: [`U`] or [`V`].
-    pub leg: usize,
+    /// The leg.
+    pub leg: Leg,
     /// What it touches.
     pub rail: Rail,
 }
@@ -89,7 +99,7 @@ pub struct Circuit {
     /// Resistance of the supply (Ω).
     pub(super) supply_resistance: f64,
     /// Time at which the profiles of load and supply start (s); there is no load before.
-    start: f64,
+    pub(super) start: f64,
     /// 1, or −1 if the motor's leads are reversed.
     pub(super) polarity: f64,
     /// Which switches of U and V are on.
@@ -138,27 +148,28 @@ pub struct State {
     pub energy: Energy,
 }
 
-/// A leg as its output sees it: voltage = top·bus + offset − resistance·(the lead's part of the current out of the leg).
+/// What the output of a leg sees: voltage = top·bus + offset − resistance·(the lead's part of the current out of the leg).
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Leg {
+pub(super) struct Source {
     pub top: f64,
     pub offset: f64,
     pub resistance: f64,
     through_shunt: bool,
 }
 
-const HIGH: Leg = Leg { top: 1.0, offset: 0.0, resistance: SWITCH, through_shunt: false };
-const LOW: Leg = Leg { top: 0.0, offset: 0.0, resistance: SWITCH + SHUNT, through_shunt: true };
-const HIGH_DIODE: Leg =
-    Leg { top: 1.0, offset: DIODE_DROP, resistance: DIODE_SLOPE, through_shunt: false };
-const LOW_DIODE: Leg =
-    Leg { top: 0.0, offset: -DIODE_DROP, resistance: DIODE_SLOPE + SHUNT, through_shunt: true };
+const HIGH: Source = Source { top: 1.0, offset: 0.0, resistance: SWITCH, through_shunt: false };
+const LOW: Source =
+    Source { top: 0.0, offset: 0.0, resistance: SWITCH + SHUNT, through_shunt: true };
+const HIGH_DIODE: Source =
+    Source { top: 1.0, offset: DIODE_DROP, resistance: DIODE_SLOPE, through_shunt: false };
+const LOW_DIODE: Source =
+    Source { top: 0.0, offset: -DIODE_DROP, resistance: DIODE_SLOPE + SHUNT, through_shunt: true };
 
-/// Both legs, for a direction of the lead current.
+/// Those of both legs, for a direction of the lead current.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Legs(pub [Leg; 2]);
+pub(super) struct Sources(pub [Source; 2]);
 
-impl Legs {
+impl Sources {
     /// Share of the bus voltage between the leads; what the lead current draws from the bus by its size.
     pub fn top(&self) -> f64 {
         self.0[U].top - self.0[V].top
@@ -186,15 +197,15 @@ impl Rail {
 }
 
 impl Circuit {
-    /// That of a scenario whose profiles start at a time (s), all well, with open switches.
-    pub fn new(scenario: &Scenario, start: f64) -> Self {
+    /// That of a scenario whose profiles have not started, all well, with open switches.
+    pub fn new(scenario: &Scenario) -> Self {
         Self {
             plant: Plant::new(scenario.motor),
             load: scenario.load.clone(),
             supply: scenario.bus.voltage,
             supply_steps: scenario.bus.steps.clone(),
             supply_resistance: scenario.bus.resistance,
-            start,
+            start: f64::INFINITY,
             polarity: if scenario.bridge.leads_reversed { -1.0 } else { 1.0 },
             switches: [Switches::Open; 2],
             leads: Leads::Motor,
@@ -217,6 +228,12 @@ impl Circuit {
             volt_seconds: 0.0,
             energy: Energy::default(),
         }
+    }
+
+    /// Times at which its profiles jump (s).
+    pub fn jumps(&self) -> impl Iterator<Item = f64> {
+        let steps = self.load.steps.iter().chain(&self.supply_steps);
+        steps.map(|step| self.start + step.time).chain([self.start])
     }
 
     /// Voltage of the supply, ahead of its resistance, at a time (V).
@@ -262,29 +279,30 @@ impl Circuit {
     }
 
     /// What the outputs of the legs see, where the lead current is of a sign.
-    pub(super) fn legs(&self, sign: f64, state: &State) -> Legs {
-        Legs([U, V].map(|leg| match self.short {
-            Some(short) if short.leg == leg => self.shorted_leg(short, state),
+    pub(super) fn sources(&self, sign: f64, state: &State) -> Sources {
+        Sources(LEGS.map(|leg| match self.short {
+            Some(short) if short.leg as usize == leg => self.shorted_leg(short, state),
             _ => path(self.switches[leg], OUTWARD[leg] * sign),
         }))
     }
 
     /// The one that touches a rail.
-    fn shorted_leg(&self, short: Short, state: &State) -> Leg {
-        let current = self.leg_currents(state)[short.leg];
-        if self.switches[short.leg] == Switches::Open && current == 0.0 {
+    fn shorted_leg(&self, short: Short, state: &State) -> Source {
+        let leg = short.leg as usize;
+        let current = self.leg_currents(state)[leg];
+        if self.switches[leg] == Switches::Open && current == 0.0 {
             // No diode conducts: the lead's current comes through the short circuit.
             let (top, resistance) = (short.rail.top(), SHORT_RESISTANCE);
-            return Leg { top, offset: 0.0, resistance, through_shunt: false };
+            return Source { top, offset: 0.0, resistance, through_shunt: false };
         }
-        let path = path(self.switches[short.leg], current);
-        Leg { offset: path.offset - path.resistance * state.short_current, ..path }
+        let path = path(self.switches[leg], current);
+        Source { offset: path.offset - path.resistance * state.short_current, ..path }
     }
 
     /// Whether the lead current ends where it would change its sign, for a diode that nothing else goes through.
     pub(super) fn is_rectified(&self) -> bool {
-        [U, V].into_iter().any(|leg| {
-            let is_shorted = self.short.is_some_and(|short| short.leg == leg);
+        LEGS.into_iter().any(|leg| {
+            let is_shorted = self.short.is_some_and(|short| short.leg as usize == leg);
             self.switches[leg] == Switches::Open && !is_shorted
         })
     }
@@ -293,26 +311,27 @@ impl Circuit {
     pub fn leg_currents(&self, state: &State) -> [f64; 2] {
         let mut currents = OUTWARD.map(|sign| sign * state.lead_current);
         if let Some(Short { leg, .. }) = self.short {
-            currents[leg] += state.short_current;
+            currents[leg as usize] += state.short_current;
         }
         currents
     }
 
     /// Currents through the shunts of U and V, from the leg to ground (A).
-    pub(super) fn shunt_currents(&self, legs: &Legs, state: &State) -> [f64; 2] {
+    pub(super) fn shunt_currents(&self, sources: &Sources, state: &State) -> [f64; 2] {
         let currents = self.leg_currents(state);
-        [U, V].map(|leg| if legs.0[leg].through_shunt { -currents[leg] } else { 0.0 })
+        LEGS.map(|leg| if sources.0[leg].through_shunt { -currents[leg] } else { 0.0 })
     }
 
     /// What a leg's short circuit draws from the bus (A).
-    pub(super) fn drawn_by_short(&self, legs: &Legs, state: &State) -> f64 {
-        self.short
-            .map_or(0.0, |Short { leg, rail }| (legs.0[leg].top - rail.top()) * state.short_current)
+    pub(super) fn drawn_by_short(&self, sources: &Sources, state: &State) -> f64 {
+        self.short.map_or(0.0, |Short { leg, rail }| {
+            (sources.0[leg as usize].top - rail.top()) * state.short_current
+        })
     }
 }
 
 /// Where a leg's current flows.
-fn path(switches: Switches, current: f64) -> Leg {
+fn path(switches: Switches, current: f64) -> Source {
     match switches {
         Switches::High => HIGH,
         Switches::Low => LOW,

@@ -1,6 +1,6 @@
 //! Faults for a campaign: what breaks, and when.
 
-use super::circuit::Short;
+use super::circuit::{Leg, Short};
 use super::encoder::EncoderFault;
 use super::pads::{ShuntFault, ThermistorFault};
 use std::ops::Range;
@@ -10,8 +10,8 @@ use std::ops::Range;
 pub enum Fault {
     /// The encoder.
     Encoder(EncoderFault),
-    /// The current sensor of leg 0 (U) or 1 (V).
-    CurrentSensor(usize, ShuntFault),
+    /// The current sensor of a leg.
+    CurrentSensor(Leg, ShuntFault),
     /// A short circuit between the motor's terminals.
     MotorShorted,
     /// A motor lead is off. Its current ends at once.

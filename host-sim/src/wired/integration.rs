@@ -6,7 +6,8 @@
 //! changes. What errs is the back-EMF: by h²/8 of its second derivative, less than 0.2 mV with the paper's motor in a step of 10 µs.
 
 use super::circuit::{
-    BUS_CAPACITANCE, Circuit, Leads, Legs, OUTWARD, SHORT_INDUCTANCE, SHORT_RESISTANCE, State, U, V,
+    BUS_CAPACITANCE, Circuit, LEGS, Leads, OUTWARD, SHORT_INDUCTANCE, SHORT_RESISTANCE, Sources,
+    State,
 };
 use super::drivers::Switches;
 use crate::plant::State as Motion;
@@ -66,15 +67,15 @@ struct Held {
     resistance: f64,
     back_emf: f64,
     bus: f64,
-    legs: Legs,
+    sources: Sources,
     /// Whether the lead current flows at all.
     conducts: bool,
 }
 
 impl Held {
     /// What drives the lead current (V).
-    fn drive(&self, legs: &Legs) -> f64 {
-        legs.top() * self.bus + legs.offset() - self.back_emf
+    fn drive(&self, sources: &Sources) -> f64 {
+        sources.top() * self.bus + sources.offset() - self.back_emf
     }
 }
 
@@ -96,20 +97,31 @@ impl Circuit {
         }
     }
 
+    /// The shaft's angle (rad) at a time within a step from the state, to the third power of the time in between: a motor whose
+    /// current changes by 0.2 A/µs errs by 3e-8 rad after 10 µs, and an encoder is looked at too often for more.
+    pub fn angle_at(&self, state: &State, time: f64) -> f64 {
+        if self.is_blocked {
+            return state.angle;
+        }
+        let passed = time - state.time;
+        let acceleration = self.plant.acceleration(state.motion, self.load_at(state.time));
+        state.angle + passed * (state.motion.speed + 0.5 * passed * acceleration)
+    }
+
     /// One step of at most `limit` seconds; gives what it took. It ends where diodes end the lead current.
     fn step(&self, state: &mut State, limit: f64) -> f64 {
         let held = self.hold(state, limit);
-        let shunts_before = self.shunt_currents(&held.legs, state);
+        let shunts_before = self.shunt_currents(&held.sources, state);
         let flow = self.lead_flow(&held, state, limit);
-        let drawn = held.legs.top() * flow.charge / flow.time;
-        let drawn = drawn + self.drawn_by_short(&held.legs, state);
+        let drawn = held.sources.top() * flow.charge / flow.time;
+        let drawn = drawn + self.drawn_by_short(&held.sources, state);
         state.bus_voltage = self.bus_after(state, drawn, flow.time);
         if self.short.is_some() {
             state.short_current = self.short_current_after(&held, state, &flow);
         }
         state.lead_current = flow.current;
-        let shunts_after = self.shunt_currents(&held.legs, state);
-        for leg in [U, V] {
+        let shunts_after = self.shunt_currents(&held.sources, state);
+        for leg in LEGS {
             let input = [shunts_before[leg], shunts_after[leg]];
             state.sensed[leg] = amplifier_after(state.sensed[leg], input, flow.time);
         }
@@ -131,17 +143,17 @@ impl Circuit {
                 [motor.inductance, motor.resistance, back_emf]
             }
         };
-        let legs = self.legs(state.lead_current, state);
-        let drawn = legs.top() * state.lead_current + self.drawn_by_short(&legs, state);
+        let sources = self.sources(state.lead_current, state);
+        let drawn = sources.top() * state.lead_current + self.drawn_by_short(&sources, state);
         let bus = self.bus_after(state, drawn, half);
         let conducts = state.lead_current != 0.0;
         let mut held =
-            Held { torque, speed, inductance, resistance, back_emf, bus, legs, conducts };
+            Held { torque, speed, inductance, resistance, back_emf, bus, sources, conducts };
         if !conducts && self.leads != Leads::Open {
             for sign in [1.0, -1.0] {
-                let legs = self.legs(sign, state);
-                if held.drive(&legs) * sign > 0.0 {
-                    held.legs = legs;
+                let sources = self.sources(sign, state);
+                if held.drive(&sources) * sign > 0.0 {
+                    held.sources = sources;
                     held.conducts = true;
                     break;
                 }
@@ -158,8 +170,8 @@ impl Circuit {
             return Flow { time: limit, current: 0.0, charge: 0.0 };
         }
         let start = state.lead_current;
-        let whole = resistance + held.legs.resistance();
-        let current = Exponential::new(start, held.drive(&held.legs), whole, inductance);
+        let whole = resistance + held.sources.resistance();
+        let current = Exponential::new(start, held.drive(&held.sources), whole, inductance);
         let mut time = limit;
         let mut share = current.share(time);
         let mut end = current.at(share);
@@ -170,8 +182,8 @@ impl Circuit {
         }
         let charge = current.integral(time, share);
         let square = current.square_integral(time, share);
-        state.energy.drawn += held.legs.top() * held.bus * charge;
-        state.energy.heat += whole * square - held.legs.offset() * charge;
+        state.energy.drawn += held.sources.top() * held.bus * charge;
+        state.energy.heat += whole * square - held.sources.offset() * charge;
         state.volt_seconds += back_emf * time + resistance * charge + inductance * (end - start);
         Flow { time, current: end, charge }
     }
@@ -190,20 +202,21 @@ impl Circuit {
     /// The current of a leg's short circuit after a step (A); the lead current that shares the leg's resistance is held.
     fn short_current_after(&self, held: &Held, state: &State, flow: &Flow) -> f64 {
         let Some(short) = self.short else { return 0.0 };
-        let outward = OUTWARD[short.leg];
-        let is_open = self.switches[short.leg] == Switches::Open;
-        let before = self.leg_currents(state)[short.leg];
+        let leg = short.leg as usize;
+        let outward = OUTWARD[leg];
+        let is_open = self.switches[leg] == Switches::Open;
+        let before = self.leg_currents(state)[leg];
         // With the leg open and its diodes blocking, what the lead takes comes through the short circuit.
         let floating = -outward * flow.current;
         if is_open && before == 0.0 {
             return floating;
         }
-        let leg = &held.legs.0[short.leg];
-        // The leg's offset holds the short circuit's own drop in it: here that belongs to the branch.
-        let offset = leg.offset + leg.resistance * state.short_current;
-        let lead_drop = leg.resistance * outward * state.lead_current;
-        let voltage = (leg.top - short.rail.top()) * held.bus + offset - lead_drop;
-        let resistance = leg.resistance + SHORT_RESISTANCE;
+        let source = &held.sources.0[leg];
+        // The source's offset holds the short circuit's own drop in it: here that belongs to the branch.
+        let offset = source.offset + source.resistance * state.short_current;
+        let lead_drop = source.resistance * outward * state.lead_current;
+        let voltage = (source.top - short.rail.top()) * held.bus + offset - lead_drop;
+        let resistance = source.resistance + SHORT_RESISTANCE;
         let branch = Exponential::new(state.short_current, voltage, resistance, SHORT_INDUCTANCE);
         let current = branch.at(branch.share(flow.time));
         let after = outward * flow.current + current;

@@ -19,7 +19,7 @@ mod tests;
 
 use crate::scenario::Scenario;
 use crate::sensors::{Disc, SensorsTable};
-use circuit::{Circuit, Energy, Leads, Ramp, State, U, V};
+use circuit::{Circuit, Energy, LEGS, Leads, Ramp, State, U, V};
 use drivers::{Drivers, Hazard};
 use encoder::Encoder;
 use faults::{Fault, Injection};
@@ -76,12 +76,14 @@ pub struct WiredWorld {
 }
 
 impl WiredWorld {
-    /// The world of a scenario whose profiles of load and bus start at `start` (s since power came), when the firmware has been armed;
-    /// until then there is no load. The shaft turns at the scenario's initial speed from the first; no current flows. Faults come on top.
+    /// The world of a scenario, as power comes. Motor, load, bus and sensors are the scenario's, and whether leads and encoder are the
+    /// wrong way round. The shaft turns at its initial speed from the first; no current flows. There is no load and no step of the bus
+    /// before [`start_profiles`](Self::start_profiles). What the scenario says of timing, dead time and converters' resolution is the firmware's and the
+    /// emulated board's to say.
     ///
     /// Without a table of sensors they are exact, with the default encoder. An offset of the current sits in both shunts with
     /// opposite signs; their noise adds up to the table's in the half of their difference.
-    pub fn new(scenario: &Scenario, start: f64, injections: Vec<Injection>) -> Self {
+    pub fn new(scenario: &Scenario) -> Self {
         let exact =
             SensorsTable { current_noise: 0.0, bus_voltage_noise: 0.0, ..SensorsTable::default() };
         let sensors = scenario.sensors.unwrap_or(exact);
@@ -92,13 +94,8 @@ impl WiredWorld {
             shunt_noise: std::f64::consts::SQRT_2 * sensors.current_noise,
             bus_noise: sensors.bus_voltage_noise,
         };
-        let circuit = Circuit::new(scenario, start);
-        let steps = scenario.load.steps.iter().chain(&scenario.bus.steps);
-        let mut jumps: Vec<f64> = steps.map(|step| start + step.time).collect();
-        jumps.push(start);
-        jumps.extend(injections.iter().flat_map(|one| [one.during.start, one.during.end]));
-        jumps.sort_by(f64::total_cmp);
-        let mut world = Self {
+        let circuit = Circuit::new(scenario);
+        Self {
             state: circuit.rest(scenario.initial.speed),
             changed: 0.0,
             steps: 0,
@@ -110,12 +107,22 @@ impl WiredWorld {
             potentiometer: 0.0,
             temperature: ROOM,
             button_is_pressed: false,
-            injections,
-            jumps,
+            injections: Vec::new(),
+            jumps: Vec::new(),
             jumped: 0,
-        };
-        world.inject();
-        world
+        }
+    }
+
+    /// The profiles of load and bus start at a time (s), as when the firmware has been armed: that is the scenario's time zero.
+    pub fn start_profiles(&mut self, time: f64) {
+        self.circuit.start = time;
+        self.schedule();
+    }
+
+    /// Something breaks, from a time on that must not be before what the world was last asked for.
+    pub fn inject(&mut self, injection: Injection) {
+        self.injections.push(injection);
+        self.schedule();
     }
 
     /// Turns the potentiometer to a share of its way, 0 to 1.
@@ -146,6 +153,16 @@ impl WiredWorld {
         self.drivers.hazards()
     }
 
+    /// Lists what is to come.
+    fn schedule(&mut self) {
+        let faults = self.injections.iter();
+        self.jumps = self.circuit.jumps().collect();
+        self.jumps.extend(faults.flat_map(|one| [one.during.start, one.during.end]));
+        self.jumps.sort_by(f64::total_cmp);
+        self.jumped = self.jumps.partition_point(|jump| *jump <= self.state.time);
+        self.apply_faults();
+    }
+
     /// The state at a time.
     fn at(&mut self, time: f64) -> State {
         self.pass(time);
@@ -156,6 +173,7 @@ impl WiredWorld {
 
     /// Goes on to the last change up to a time, and by whole steps from there.
     fn pass(&mut self, time: f64) {
+        assert!(time >= self.state.time, "time went back to {time} s from {} s", self.state.time);
         loop {
             let jump = self.jumps.get(self.jumped).copied().unwrap_or(f64::INFINITY);
             let change = jump.min(self.drivers.next_change());
@@ -165,7 +183,7 @@ impl WiredWorld {
             self.circuit.advance(&mut self.state, change, self.longest_step);
             if change == jump {
                 self.jumped += 1;
-                self.inject();
+                self.apply_faults();
             } else {
                 self.drivers.run_down(change);
                 self.connect();
@@ -183,7 +201,7 @@ impl WiredWorld {
 
     /// Brings the switches to where the drivers have them.
     fn connect(&mut self) {
-        self.circuit.switches = [U, V].map(|leg| self.drivers.on(leg));
+        self.circuit.switches = LEGS.map(|leg| self.drivers.on(leg));
         self.restart_steps();
     }
 
@@ -195,7 +213,7 @@ impl WiredWorld {
     }
 
     /// Brings everything to where the faults of this time have it.
-    fn inject(&mut self) {
+    fn apply_faults(&mut self) {
         let time = self.state.time;
         let circuit = &mut self.circuit;
         circuit.leads = Leads::Motor;
@@ -215,7 +233,7 @@ impl WiredWorld {
             match *fault {
                 Fault::Encoder(fault) => encoder = Some(fault),
                 Fault::CurrentSensor(leg, fault) => {
-                    self.pads.shunt_faults[leg] = Some((from, fault));
+                    self.pads.shunt_faults[leg as usize] = Some((from, fault));
                 }
                 Fault::MotorShorted => circuit.leads = Leads::Shorted,
                 Fault::LeadOpen => circuit.leads = Leads::Open,
@@ -256,8 +274,8 @@ impl World for WiredWorld {
     }
 
     fn encoder_edges(&mut self, time: f64) -> i64 {
-        let state = self.at(time);
-        self.encoder.edges(state.angle)
+        self.pass(time);
+        self.encoder.edges(self.circuit.angle_at(&self.state, time))
     }
 
     fn level(&mut self, time: f64, pin: InputPin) -> bool {
