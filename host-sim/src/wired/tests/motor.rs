@@ -28,9 +28,16 @@ fn the_motor_runs_as_on_the_averaged_board() {
             let [outward, sign] = [if is_reversed { -1.0 } else { 1.0 }, averaged.current.signum()];
             let voltage = (outward * duty - sign * 2.0 * DEAD_TIME / PERIOD) * 24.0;
             let expected = mean_voltage(outward * duty, averaged.current) - voltage;
-            let speed = wired.truth().speed;
+            let before = wired.truth();
+            let speed = before.speed;
             close(speed - averaged.speed, expected / KB, 0.03);
             assert!(speed.abs() > 80.0 && expected.abs() > 0.05, "{speed} rad/s, {expected} V");
+            let after = wired.play(duty, 100);
+            let mean = (after.volt_seconds - before.volt_seconds) / (100.0 * PERIOD);
+            close(outward * mean, mean_voltage(outward * duty, averaged.current), 6e-3);
+            for _ in 0..100 {
+                board.apply(BridgeCommand::Duty(Double(duty)));
+            }
         }
         assert_eq!(wired.world.hazards(), []);
     }
