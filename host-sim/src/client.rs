@@ -49,9 +49,39 @@ pub enum ClientError {
     TooLong,
 }
 
-/// A line that carries bytes.
-trait Line: Read + Write {}
-impl<T: Read + Write> Line for T {}
+/// A line that carries bytes. A read waits a little where there are none.
+pub trait Line: Read + Write {
+    /// Time since the line was there, as it passes for the drive at its other end.
+    fn time(&self) -> Duration;
+}
+
+/// A line to the world outside, where time passes by itself.
+struct Outside<T> {
+    port: T,
+    opened: Instant,
+}
+
+impl<T: Read> Read for Outside<T> {
+    fn read(&mut self, bytes: &mut [u8]) -> std::io::Result<usize> {
+        self.port.read(bytes)
+    }
+}
+
+impl<T: Write> Write for Outside<T> {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        self.port.write(bytes)
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        self.port.flush()
+    }
+}
+
+impl<T: Read + Write> Line for Outside<T> {
+    fn time(&self) -> Duration {
+        self.opened.elapsed()
+    }
+}
 
 /// A drive, seen from a host.
 pub struct Client {
@@ -67,21 +97,27 @@ impl Client {
     /// Opens `tcp:ADDRESS:PORT` or a serial port, and makes sure that a drive with the same messages is there.
     pub fn open(port: &str) -> Result<Self, ClientError> {
         let no_port = |reason: String| ClientError::NoPort { port: port.to_owned(), reason };
-        let line: Box<dyn Line> = match port.strip_prefix("tcp:") {
+        let opened = Instant::now();
+        match port.strip_prefix("tcp:") {
             Some(address) => {
                 let stream =
                     TcpStream::connect(address).map_err(|error| no_port(error.to_string()))?;
                 stream.set_nodelay(true)?;
                 stream.set_read_timeout(Some(READ_TIME))?;
-                Box::new(stream)
+                Self::on(Outside { port: stream, opened })
             }
             None => {
                 let serial = serialport::new(port, BAUD_RATE).timeout(READ_TIME).open();
-                Box::new(serial.map_err(|error| no_port(error.to_string()))?)
+                let port = serial.map_err(|error| no_port(error.to_string()))?;
+                Self::on(Outside { port, opened })
             }
-        };
+        }
+    }
+
+    /// Takes a line, and makes sure that a drive with the same messages is at its other end.
+    pub fn on(line: impl Line + 'static) -> Result<Self, ClientError> {
         let mut client = Self {
-            line,
+            line: Box::new(line),
             decoder: Decoder::new(),
             sequence: 0,
             telemetry: VecDeque::new(),
@@ -177,10 +213,10 @@ impl Client {
         let frame = encode(&Numbered { sequence: wanted, request }, &mut buffer);
         self.line.write_all(frame.ok_or(ClientError::TooLong)?)?;
         self.line.flush()?;
-        let start = Instant::now();
+        let start = self.line.time();
         let mut result = None;
         while result.is_none() {
-            if start.elapsed() > PATIENCE {
+            if self.line.time() - start > PATIENCE {
                 return Err(ClientError::Silent);
             }
             self.receive(|sequence, answer| {

@@ -15,6 +15,7 @@
 //! - [`virtual_drive`]: a drive on the simulated board that speaks the firmware's link; [`serve`] puts it behind a socket;
 //! - [`client`]: the host's end of the link; [`connect`] and [`watch`] are its commands, [`assignment`] its names of parameters;
 //! - [`wired`]: motor, power stage and sensors behind the pins of an emulated board, switch by switch;
+//! - [`emulated`]: the firmware's image on an emulated board, with that motor: scenarios, faults, agreement;
 //! - [`report`]: what they show, as HTML and in the terminal; [`plot`] and [`terminal`] draw its plots and tables.
 
 pub mod assignment;
@@ -22,6 +23,7 @@ pub mod board;
 pub mod client;
 pub mod connect;
 pub mod double;
+pub mod emulated;
 pub mod flash;
 pub mod frame;
 pub mod link;

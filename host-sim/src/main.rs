@@ -13,7 +13,7 @@ use host_sim::reproduction::PERIODS_PER_TICK;
 use host_sim::scenario::{Controller, FormName, Scenario, ScenarioError};
 use host_sim::simulation::{Outcome, ScalarName, simulate_in, simulate_on};
 use host_sim::virtual_drive::VirtualDrive;
-use host_sim::{report, reproduction, scoreboard, terminal};
+use host_sim::{emulated, report, reproduction, scoreboard, terminal};
 use indicatif::{ProgressBar, ProgressStyle};
 use quasidrive::drive::Fault;
 use quasidrive::math::Q31;
@@ -52,6 +52,31 @@ enum Command {
         csv: Option<PathBuf>,
         #[command(flatten)]
         overrides: Overrides,
+    },
+    /// Play one scenario with the firmware's image on an emulated B-G431B-ESC1, with the scenario's motor wired to it.
+    ///
+    /// Exit code 1 also if the firmware misused bridge or microcontroller.
+    Board {
+        /// Scenario file (TOML).
+        file: PathBuf,
+        /// The image.
+        #[arg(long, value_name = "FILE", default_value = ESC1)]
+        elf: PathBuf,
+        /// Simulated time (s).
+        #[arg(long, value_name = "S")]
+        duration: Option<f64>,
+        /// Controller.
+        #[arg(long)]
+        controller: Option<Controller>,
+        /// Print one JSON object instead of tables.
+        #[arg(long)]
+        json: bool,
+        /// Write what telemetry told, with the truth beside it, to a CSV file.
+        #[arg(long, value_name = "OUT")]
+        csv: Option<PathBuf>,
+        /// Write an HTML report.
+        #[arg(long, value_name = "OUT")]
+        report: Option<PathBuf>,
     },
     /// Reproduce the paper's figures and its Table 2, and write an HTML report.
     Paper {
@@ -117,6 +142,9 @@ enum Command {
         overrides: Overrides,
     },
 }
+
+/// Where `cargo xtask firmware` puts the board's image.
+const ESC1: &str = "target/firmware/b_g431b_esc1.elf";
 
 /// What replaces a scenario's own settings.
 #[derive(Args)]
@@ -300,6 +328,40 @@ fn execute(command: Command) -> Result<ExitCode> {
                 print_table(&runs)?;
             }
             Ok(exit_code(&runs))
+        }
+        Command::Board { file, elf, duration, controller, json, csv, report } => {
+            let mut scenario = Scenario::read(&file)?;
+            scenario.duration = duration.unwrap_or(scenario.duration);
+            scenario.control.controller = controller.unwrap_or(scenario.control.controller);
+            scenario.recheck(&file)?;
+            let bar = progress_bar(1000);
+            let progress = |share: f64| bar.set_position((share * 1e3) as u64);
+            let image = emulated::read_image(&elf)?;
+            let played = emulated::play::play(&image, &scenario, &file, progress)?;
+            bar.finish_and_clear();
+            let summary = &played.summary;
+            if json {
+                writeln!(stdout(), "{}", serde_json::to_string_pretty(summary)?)?;
+            } else {
+                let name = file.file_stem().unwrap_or_default().to_string_lossy();
+                writeln!(stdout(), "{}: {}", file.display(), scenario.title)?;
+                writeln!(stdout(), "{}", emulated::page::text(&name, summary))?;
+            }
+            if let Some(out) = csv {
+                let mut rows = csv::Writer::from_path(&out)
+                    .with_context(|| format!("cannot write {}", out.display()))?;
+                played.frames.iter().try_for_each(|frame| rows.serialize(frame))?;
+                rows.flush().context("cannot write the CSV file")?;
+            }
+            if let Some(out) = report {
+                write(&out, &emulated::page::html(&scenario.title, &played)?)?;
+                eprintln!("Report: {}", out.display());
+            }
+            Ok(match &summary.fault {
+                _ if summary.is_misused() => ExitCode::FAILURE,
+                Some(_) => ExitCode::from(3),
+                None => ExitCode::SUCCESS,
+            })
         }
         Command::Serve { file, port, flash } => serve(&file, port, flash.as_deref()),
         Command::Connect(connect) => Ok(match connect::run(&connect)? {

@@ -384,7 +384,7 @@ pub fn readme_plots(results: &Reproduction) -> Result<Vec<(&'static str, String)
     ])
 }
 
-const STYLE: &str = "
+pub(crate) const STYLE: &str = "
 body { font: 16px/1.5 system-ui, sans-serif; color: #222; max-width: 1320px; margin: 2em auto; padding: 0 1.5em; }
 h1 { line-height: 1.2; } h2 { margin-top: 2.2em; border-bottom: 1px solid #ccc; }
 table { border-collapse: collapse; margin: 1em 0; font-variant-numeric: tabular-nums; }

@@ -453,6 +453,13 @@ pub struct ScenarioError {
     message: String,
 }
 
+impl ScenarioError {
+    /// Refuses a file for a reason beyond the file itself.
+    pub(crate) fn new(file: &Path, message: String) -> Self {
+        Self { file: file.to_owned(), line: None, message }
+    }
+}
+
 impl fmt::Display for ScenarioError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}", self.file.display())?;
