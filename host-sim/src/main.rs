@@ -4,6 +4,7 @@ use anyhow::{Context, Result, bail};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use host_sim::connect::{self, Connect};
 use host_sim::double::SimulatedScalar;
+use host_sim::emulated::agreement::Agreement;
 use host_sim::flash::SimulatedFlash;
 use host_sim::frame::Frame;
 use host_sim::link::{LinkError, Local, LockStep};
@@ -68,6 +69,9 @@ enum Command {
         /// Controller.
         #[arg(long)]
         controller: Option<Controller>,
+        /// Play it on the averaged board too, and hold both speeds against each other; exit code 1 if they do not agree.
+        #[arg(long)]
+        agreement: bool,
         /// Print one JSON object instead of tables.
         #[arg(long)]
         json: bool,
@@ -77,6 +81,19 @@ enum Command {
         /// Write an HTML report.
         #[arg(long, value_name = "OUT")]
         report: Option<PathBuf>,
+    },
+    /// Break everything on and around the emulated board, one after the other, and see that the bridge goes off in time; and see that what
+    /// must not stop it does not. Exit code 1 if a case fails.
+    Campaign {
+        /// The image.
+        #[arg(long, value_name = "FILE", default_value = ESC1)]
+        elf: PathBuf,
+        /// Play only the cases whose name contains this.
+        #[arg(long, value_name = "NAME")]
+        only: Option<String>,
+        /// Print one JSON array instead of a table.
+        #[arg(long)]
+        json: bool,
     },
     /// Reproduce the paper's figures and its Table 2, and write an HTML report.
     Paper {
@@ -127,6 +144,9 @@ enum Command {
         /// File for the drive's flash, so that saved parameters outlive it.
         #[arg(long, value_name = "FILE")]
         flash: Option<PathBuf>,
+        /// Instead of the drive in this program, the firmware's image on an emulated B-G431B-ESC1.
+        #[arg(long, value_name = "FILE", conflicts_with = "flash")]
+        elf: Option<PathBuf>,
     },
     /// Command and watch a drive, on a board or served.
     Connect(Connect),
@@ -329,7 +349,7 @@ fn execute(command: Command) -> Result<ExitCode> {
             }
             Ok(exit_code(&runs))
         }
-        Command::Board { file, elf, duration, controller, json, csv, report } => {
+        Command::Board { file, elf, duration, controller, agreement, json, csv, report } => {
             let mut scenario = Scenario::read(&file)?;
             scenario.duration = duration.unwrap_or(scenario.duration);
             scenario.control.controller = controller.unwrap_or(scenario.control.controller);
@@ -340,12 +360,20 @@ fn execute(command: Command) -> Result<ExitCode> {
             let played = emulated::play::play(&image, &scenario, &file, progress)?;
             bar.finish_and_clear();
             let summary = &played.summary;
+            let agreement = match agreement && summary.fault.is_none() {
+                true => Some(Agreement::new(&scenario, &played)?),
+                false => None,
+            };
             if json {
-                writeln!(stdout(), "{}", serde_json::to_string_pretty(summary)?)?;
+                let report = serde_json::json!({ "summary": summary, "agreement": agreement });
+                writeln!(stdout(), "{report:#}")?;
             } else {
                 let name = file.file_stem().unwrap_or_default().to_string_lossy();
                 writeln!(stdout(), "{}: {}", file.display(), scenario.title)?;
                 writeln!(stdout(), "{}", emulated::page::text(&name, summary))?;
+                if let Some(agreement) = &agreement {
+                    writeln!(stdout(), "{}", agreement.text())?;
+                }
             }
             if let Some(out) = csv {
                 let mut rows = csv::Writer::from_path(&out)
@@ -359,11 +387,41 @@ fn execute(command: Command) -> Result<ExitCode> {
             }
             Ok(match &summary.fault {
                 _ if summary.is_misused() => ExitCode::FAILURE,
+                None if agreement.is_some_and(|agreement| !agreement.holds()) => ExitCode::FAILURE,
                 Some(_) => ExitCode::from(3),
                 None => ExitCode::SUCCESS,
             })
         }
-        Command::Serve { file, port, flash } => serve(&file, port, flash.as_deref()),
+        Command::Campaign { elf, only, json } => {
+            let image = emulated::read_image(&elf)?;
+            let bar = progress_bar(emulated::campaign::count(only.as_deref()) as u64);
+            let outcomes = emulated::campaign::run(image, only.as_deref(), || bar.inc(1))?;
+            bar.finish_and_clear();
+            if json {
+                writeln!(stdout(), "{}", serde_json::to_string_pretty(&outcomes)?)?;
+            } else {
+                writeln!(stdout(), "{}", emulated::campaign::text(&outcomes))?;
+            }
+            if outcomes.is_empty() {
+                bail!("no case has that in its name");
+            }
+            let failed = outcomes.iter().filter(|outcome| outcome.failure.is_some()).count();
+            if failed > 0 {
+                bail!("{failed} of {} cases failed", outcomes.len());
+            }
+            Ok(ExitCode::SUCCESS)
+        }
+        Command::Serve { file, port, flash: _, elf: Some(elf) } => {
+            let scenario = Scenario::read(&file)?;
+            let image = emulated::read_image(&elf)?;
+            let board = emulated::serve::boot(&image, &scenario, &file)?;
+            let listener = listen(port, &scenario)?;
+            match emulated::serve::serve(&board, &listener) {
+                Ok(never) => match never {},
+                Err(error) => Err(error).context("cannot go on serving"),
+            }
+        }
+        Command::Serve { file, port, flash, elf: None } => serve(&file, port, flash.as_deref()),
         Command::Connect(connect) => Ok(match connect::run(&connect)? {
             Some(status) if status.mode == Mode::Faulted => ExitCode::from(3),
             _ => ExitCode::SUCCESS,
@@ -411,14 +469,20 @@ fn serve(file: &Path, port: u16, flash_file: Option<&Path>) -> Result<ExitCode> 
         _ => SimulatedFlash::new(),
     };
     let mut drive = VirtualDrive::new(&scenario, flash)?;
-    let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port))
-        .with_context(|| format!("cannot listen at port {port}"))?;
-    writeln!(stdout(), "{} at tcp:{}", scenario.title, listener.local_addr()?)?;
-    stdout().flush()?;
+    let listener = listen(port, &scenario)?;
     match host_sim::serve::serve(&mut drive, scenario.timing.rate, &listener, flash_file) {
         Ok(never) => match never {},
         Err(error) => Err(error).context("cannot go on serving"),
     }
+}
+
+/// Listens at a port, and tells where.
+fn listen(port: u16, scenario: &Scenario) -> Result<TcpListener> {
+    let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port))
+        .with_context(|| format!("cannot listen at port {port}"))?;
+    writeln!(stdout(), "{} at tcp:{}", scenario.title, listener.local_addr()?)?;
+    stdout().flush()?;
+    Ok(listener)
 }
 
 /// Writes a file, and the folders it lies in.

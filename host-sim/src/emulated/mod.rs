@@ -89,6 +89,11 @@ impl Emulated {
         !self.0.borrow().unread.is_empty()
     }
 
+    /// What the board has sent and nobody has read.
+    pub fn take_sent(&self) -> Vec<u8> {
+        self.0.borrow_mut().unread.drain(..).collect()
+    }
+
     /// The host's end of the link.
     pub fn client(&self) -> Result<Client, ClientError> {
         Client::on(self.clone())
