@@ -75,8 +75,8 @@ const SAMPLE: usize = 3;
 /// The bridge's outputs.
 pub struct Bridge {
     is_on: bool,
-    /// Which outputs the next duty finds enabled: a duty's compare values take effect an update later than this would.
-    next: CcerAdv,
+    /// Which outputs are enabled.
+    enabled: CcerAdv,
 }
 
 /// The share that [`Bridge::apply`] gives a leg, in ticks of the counter.
@@ -144,7 +144,7 @@ impl Bridge {
             return None;
         }
         pins::start_bridge();
-        Some(Self { is_on: false, next: LOW_SIDES })
+        Some(Self { is_on: false, enabled: LOW_SIDES })
     }
 
     /// Whether the hardware has ended the outputs although they were to be on.
@@ -162,23 +162,20 @@ impl Bridge {
     /// Takes a command; it acts from the next trough on. Off acts at once.
     #[inline]
     pub fn apply(&mut self, output: Output<f32>) {
-        let legs = match output {
-            Output::Off => {
-                off();
-                self.is_on = false;
-                self.next = LOW_SIDES;
-                [CHARGE.into(); 2]
-            }
-            Output::Charge => [CHARGE.into(); 2],
-            Output::Duty(duty) => modulation::legs(duty, HIGHEST_SHARE).map(compare),
+        let (legs, enabled) = match output {
+            Output::Off | Output::Charge => ([CHARGE.into(); 2], LOW_SIDES),
+            Output::Duty(duty) => (modulation::legs(duty, HIGHEST_SHARE).map(compare), BOTH_SIDES),
         };
         TIM1.ccr(U).write(|w| w.set_ccr(legs[U] as u16));
         TIM1.ccr(V).write(|w| w.set_ccr(legs[V] as u16));
-        TIM1.ccer().write_value(self.next);
-        if let Output::Duty(_) = output {
-            self.next = BOTH_SIDES;
-        }
-        if !self.is_on && output != Output::Off {
+        // A low side alone follows the compare values as a high side does: where both were enabled with that one on, the leg would turn over
+        // without dead time. So what is enabled changes with outputs off, and the first duty's period begins with them off.
+        if output == Output::Off || enabled != self.enabled {
+            off();
+            self.is_on = false;
+            TIM1.ccer().write_value(enabled);
+            self.enabled = enabled;
+        } else if !self.is_on {
             self.is_on = true;
             TIM1.sr().write(|w| {
                 w.0 = !0;
