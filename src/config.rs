@@ -5,7 +5,8 @@ use core::fmt;
 /// A configuration value that was refused. Values are checked once, when a drive is built; the loop has no errors.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ConfigError {
-    /// Dotted path of the field, as in the configuration structures and in scenario files: `motor.inertia`.
+    /// Name of the parameter, `motor.inertia`, or of the group, `motor`, where no single one is to blame: as in
+    /// [`parameters`](crate::parameters).
     pub field: &'static str,
     /// The rule that the value breaks, as it reads after the field's name: `must be positive and finite`.
     pub rule: &'static str,

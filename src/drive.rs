@@ -12,12 +12,12 @@ pub use crate::limits::Limits;
 use crate::math::{Base, Scalar};
 use crate::motor::MotorParameters;
 use crate::per_unit::Bases;
+use crate::schema::{Group, Unset, Visitor};
 use crate::sense::{Measured, Rotation, Sensing, Sensors};
 use crate::trajectory::{Reference, Shape, Shaper};
-use serde::{Deserialize, Serialize};
 
 /// Everything that a drive is built from.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DriveConfig {
     /// The motor.
     pub motor: MotorParameters,
@@ -30,8 +30,30 @@ pub struct DriveConfig {
     /// What a sample may hold, and what the bridge may be told.
     pub limits: Limits,
     /// How commanded speeds become references.
-    #[serde(rename = "reference")]
     pub shape: Shape,
+}
+
+impl Unset for DriveConfig {
+    const UNSET: Self = Self {
+        motor: Unset::UNSET,
+        sensors: Unset::UNSET,
+        control: Unset::UNSET,
+        timing: Unset::UNSET,
+        limits: Unset::UNSET,
+        shape: Unset::UNSET,
+    };
+}
+
+impl Group for DriveConfig {
+    fn fields(&mut self, visitor: &mut Visitor) {
+        let Self { motor, sensors, control, timing, limits, shape } = self;
+        visitor("motor", motor);
+        visitor("sensors", sensors);
+        visitor("control", control);
+        visitor("timing", timing);
+        visitor("limits", limits);
+        visitor("reference", shape);
+    }
 }
 
 /// The voltage u − Ra·i − Kb·ω that is taken for a wrong parameter, as a share of [`Limits::bus_max`]: more is a wrong

@@ -4,11 +4,11 @@ use crate::config::{ConfigError, positive, require};
 use crate::hal::READS;
 use crate::math::{Scalar, exp_m1};
 use crate::per_unit::{ACCELERATION, Bases};
+use crate::schema::choice;
 use crate::sense::{Measured, Rotation, Shaft};
-use serde::{Deserialize, Serialize};
 
 /// Where a controller that wants a speed has it from.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum SpeedSource {
     /// As the sensors tell it: exact ones (simulation only), or [the times of edges](crate::sense::Reads::Edges).
     Exact,
@@ -25,6 +25,8 @@ pub enum SpeedSource {
         fed: bool,
     },
 }
+
+choice! { SpeedSource { Exact, Difference { bandwidth }, Pll { bandwidth, fed } } }
 
 /// Speed by a [`SpeedSource`].
 #[derive(Clone, Debug)]

@@ -9,6 +9,7 @@
 //!
 //! - [`math`]: the [`Scalar`](math::Scalar) that the loop computes in, and the only door to transcendental functions.
 //! - [`config`]: the error that every refused configuration ends in.
+//! - [`schema`]: configurations as trees of named values.
 //! - [`motor`]: nameplate parameters to the coefficients a1…a4.
 //! - [`per_unit`]: what full scale is in fixed point.
 //! - [`trajectory`]: reference shaping, from a commanded speed to a reference with its derivatives.
@@ -110,6 +111,7 @@ pub mod motor;
 pub mod parameters;
 pub mod per_unit;
 pub mod protocol;
+pub mod schema;
 pub mod sense;
 pub mod shunts;
 pub mod supervisor;

@@ -1,10 +1,10 @@
 //! What a sample may hold, and what may be asked for.
 
 use crate::config::{ConfigError, positive, require};
-use serde::{Deserialize, Serialize};
+use crate::schema::group;
 
 /// Limits. A sample outside them is a fault; a duty outside them is limited.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
     /// Largest magnitude of the duty, from above 0 to 1. A bridge with bootstrapped high sides needs less than 1.
     pub duty: f32,
@@ -20,6 +20,8 @@ pub struct Limits {
     /// Over-voltage trip of the bus (V). Above `bus_min`.
     pub bus_max: f32,
 }
+
+group! { Limits { duty, speed, current, current_command, bus_min, bus_max } }
 
 impl Limits {
     pub(crate) fn check(&self) -> Result<(), ConfigError> {

@@ -10,11 +10,11 @@
 //! with the speed ω (rad/s), the armature current i (A), the armature voltage u (V), and the disturbance
 //! d = −T_l/J (rad/s²) of a load torque T_l (N·m) that opposes positive motion.
 
-use crate::config::{ConfigError, non_negative, positive};
-use serde::{Deserialize, Serialize};
+use crate::config::{ConfigError, non_negative, positive, require};
+use crate::schema::group;
 
 /// Parameters of a brushed, permanent-magnet or separately excited DC motor with what turns with it.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotorParameters {
     /// Moment of inertia J of rotor and load (kg·m²). Positive.
     pub inertia: f32,
@@ -27,6 +27,8 @@ pub struct MotorParameters {
     /// Back-EMF constant Kb (V·s/rad), which is the torque constant (N·m/A) too. Positive.
     pub back_emf_constant: f32,
 }
+
+group! { MotorParameters { inertia, inductance, resistance, viscous_friction, back_emf_constant } }
 
 impl MotorParameters {
     /// The motor of the paper's Table 1.
@@ -45,14 +47,13 @@ impl MotorParameters {
         let resistance = positive("motor.resistance", self.resistance)?;
         let friction = non_negative("motor.viscous_friction", self.viscous_friction)?;
         let back_emf = positive("motor.back_emf_constant", self.back_emf_constant)?;
-        Ok(Coefficients {
-            a1: non_negative("motor.viscous_friction / motor.inertia", friction / inertia)?,
-            a2: positive("motor.back_emf_constant / motor.inertia", back_emf / inertia)?,
-            a3: positive("motor.back_emf_constant / motor.inductance", back_emf / inductance)?,
-            a4: positive("motor.resistance / motor.inductance", resistance / inductance)?,
-            inductance,
-            inertia,
-        })
+        // Each is fine by itself, their ratios may not be.
+        let [a1, a2] = [friction / inertia, back_emf / inertia];
+        let [a3, a4] = [back_emf / inductance, resistance / inductance];
+        let rule = "must go with the other parameters: the model's coefficients overflow or vanish";
+        require(a1.is_finite() && a2.is_normal(), "motor.inertia", rule, inertia)?;
+        require(a3.is_normal() && a4.is_normal(), "motor.inductance", rule, inductance)?;
+        Ok(Coefficients { a1, a2, a3, a4, inductance, inertia })
     }
 }
 
@@ -107,11 +108,7 @@ mod tests {
             negative.coefficients().expect_err("negative friction").field,
             "motor.viscous_friction"
         );
-        // Each parameter is fine by itself, their ratio is not.
         let overflow = MotorParameters { inertia: 2e-38, back_emf_constant: 59.0, ..paper };
-        assert_eq!(
-            overflow.coefficients().expect_err("overflow").field,
-            "motor.back_emf_constant / motor.inertia"
-        );
+        assert_eq!(overflow.coefficients().expect_err("overflow").field, "motor.inertia");
     }
 }

@@ -9,9 +9,11 @@
 use crate::drive::{DriveConfig, Fault, Mode, Telemetry};
 use crate::hal::{BridgeCommand, Codes, Exact, READS};
 use crate::math::{Q31, Scalar};
+use crate::parameters::records;
+use crate::schema::Unset;
 
 /// Version of the messages: both sides must have the same.
-pub const VERSION: u32 = 3;
+pub const VERSION: u32 = 4;
 
 /// First word of either side's first message.
 pub const MAGIC: u32 = u32::from_le_bytes(*b"qdrv");
@@ -78,12 +80,12 @@ pub struct Setup(pub DriveConfig);
 
 impl Setup {
     /// Words of a setup.
-    pub const WORDS: usize = 48;
+    pub const WORDS: usize = 96;
 
-    /// As words, in postcard's format, padded with zeros; nothing if they do not suffice.
+    /// As [records](crate::parameters::records), padded with zeros; nothing if they do not suffice.
     pub fn to_words(&self) -> Option<[u32; Self::WORDS]> {
         let mut bytes = [0; 4 * Self::WORDS];
-        postcard::to_slice(&self.0, &mut bytes).ok()?;
+        records::write(&mut { self.0 }, &mut bytes)?;
         let mut words = [0; Self::WORDS];
         for (word, bytes) in words.iter_mut().zip(bytes.as_chunks().0) {
             *word = u32::from_le_bytes(*bytes);
@@ -97,7 +99,8 @@ impl Setup {
         for (bytes, word) in bytes.as_chunks_mut().0.iter_mut().zip(words) {
             *bytes = word.to_le_bytes();
         }
-        postcard::from_bytes(&bytes).ok().map(Self)
+        let mut config = DriveConfig::UNSET;
+        records::read(&mut config, &bytes).then_some(Self(config))
     }
 }
 

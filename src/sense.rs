@@ -5,10 +5,10 @@ use crate::hal::{Codes, Exact, READS, Sample};
 use crate::limits::Limits;
 use crate::math::{Base, Scalar};
 use crate::per_unit::Bases;
-use serde::{Deserialize, Serialize};
+use crate::schema::{choice, group};
 
 /// What a board's samples are.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Sensors {
     /// [`Sample::Exact`].
     Exact,
@@ -16,8 +16,10 @@ pub enum Sensors {
     Codes(Calibration),
 }
 
+choice! { Sensors { Exact, Codes(calibration) } }
+
 /// What codes and counts mean.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Calibration {
     /// Armature current per code (A); negative if the sensor is mounted the other way round. Not zero.
     pub current_per_code: f32,
@@ -34,8 +36,14 @@ pub struct Calibration {
     pub reads: Reads,
 }
 
+group! {
+    Calibration {
+        current_per_code, current_zero, bus_voltage_per_code, counts_per_turn, highest_code, reads,
+    }
+}
+
 /// Which of a period's reads of the encoder's counter count.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Reads {
     /// The mean of all: far finer than a count, since the reads see the edges pass.
     #[default]
@@ -50,6 +58,8 @@ pub enum Reads {
     /// last edge of one period to the last edge of a later one, over the time between, to within the distance of two reads.
     Edges,
 }
+
+choice! { Reads { All, Shifted, Last, Edges } }
 
 impl Calibration {
     /// The angle of a count (rad).

@@ -22,11 +22,12 @@ use crate::fault::{ActiveLimit, ActiveLimits, Fault, Faults};
 use crate::hal::{BridgeCommand, Sample};
 use crate::math::{Base, Scalar};
 use crate::per_unit::Bases;
+use crate::schema::group;
 use crate::shunts::CurrentSensors;
 use serde::{Deserialize, Serialize};
 
 /// Protections beyond those of [`Limits`](crate::drive::Limits).
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Protection {
     /// Current that the motor can carry for ever (A), in the root of its mean square. Positive.
     pub continuous_current: f32,
@@ -41,6 +42,12 @@ pub struct Protection {
     pub stop_time: f32,
     /// Speed below which the motor counts as stopped (rad/s). Positive.
     pub standstill: f32,
+}
+
+group! {
+    Protection {
+        continuous_current, thermal_time, temperature, command_timeout, stop_time, standstill,
+    }
 }
 
 impl Protection {

@@ -3,7 +3,7 @@
 use crate::config::{ConfigError, positive, require};
 use crate::math::{Base, Scalar, ceil, exp_m1, log2_ceil, sqrt};
 use crate::per_unit::Bases;
-use serde::{Deserialize, Serialize};
+use crate::schema::choice;
 
 /// The reference at one sample.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -24,7 +24,7 @@ impl<S: Scalar> Reference<S> {
 }
 
 /// How a commanded speed becomes a reference.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Shape {
     /// The command itself, with zero derivatives: it jumps when the command does (the paper's reference).
     #[default]
@@ -44,6 +44,8 @@ pub enum Shape {
         jerk: f32,
     },
 }
+
+choice! { Shape { Step, SecondOrder { bandwidth }, SCurve { acceleration, jerk } } }
 
 /// Shapes a commanded speed, one sample per period.
 ///

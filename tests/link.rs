@@ -1,85 +1,20 @@
 //! The link, as a host and a bad line treat it: every whole request has one answer, and nothing else has any.
 
+mod common;
+
+use common::{controls, every_name, names, parameters, with_control};
 use proptest::prelude::*;
 use quasidrive::config::ConfigError;
-use quasidrive::control::drive_form::DriveFormConfig;
-use quasidrive::control::ladrc::LadrcConfig;
-use quasidrive::control::paper::{Form, Gains, Law, PaperConfig, Start};
-use quasidrive::control::pi::PiConfig;
-use quasidrive::control::{ControlConfig, Timing};
-use quasidrive::drive::{DriveConfig, Limits};
-use quasidrive::estimate::SpeedSource;
+use quasidrive::control::ControlConfig;
 use quasidrive::fault::{ActiveLimits, Fault, Faults};
 use quasidrive::link::frame::{Decoder, LONGEST, encode};
 use quasidrive::link::message::{
     Answer, Identity, Message, Numbered, Refusal, Request, Status, Telemetry, VERSION,
 };
 use quasidrive::link::session::{Device, Session};
-use quasidrive::motor::MotorParameters;
 use quasidrive::parameters::Parameters;
-use quasidrive::sense::{Calibration, Reads, Sensors};
-use quasidrive::supervisor::{Command, Mode, Protection};
-use quasidrive::trajectory::Shape;
-
-const PLL: SpeedSource = SpeedSource::Pll { bandwidth: 1e3, fed: true };
-
-fn paper() -> ControlConfig {
-    ControlConfig::Paper(PaperConfig {
-        law: Law::Qismc,
-        gains: Gains::PAPER,
-        form: Form::Explicit,
-        start: Start::Matched,
-        speed: PLL,
-    })
-}
-
-fn controls() -> [ControlConfig; 4] {
-    let timing = Timing { rate: 20_000.0, delay: true };
-    let pi = PiConfig::magnitude_and_symmetrical_optimum(&timing, PLL);
-    [
-        paper(),
-        ControlConfig::Drive(DriveFormConfig::new(1170.0, 0.3, 2.5)),
-        ControlConfig::Pi(PiConfig { disturbance: Some(300.0), ..pi }),
-        ControlConfig::Ladrc(LadrcConfig::by_bandwidth(150.0, &timing, PLL)),
-    ]
-}
-
-/// As many bytes as a set can have.
-fn parameters(control: ControlConfig) -> Parameters {
-    let calibration = Calibration {
-        current_per_code: -0.029,
-        current_zero: 2047.5,
-        bus_voltage_per_code: 0.008,
-        counts_per_turn: i32::MIN,
-        highest_code: u16::MAX,
-        reads: Reads::Edges,
-    };
-    Parameters {
-        drive: DriveConfig {
-            motor: MotorParameters::PAPER,
-            sensors: Sensors::Codes(calibration),
-            control,
-            timing: Timing { rate: 20_000.0, delay: true },
-            limits: Limits {
-                duty: 0.9,
-                speed: 400.0,
-                current: 30.0,
-                current_command: 20.0,
-                bus_min: 9.0,
-                bus_max: 27.0,
-            },
-            shape: Shape::SCurve { acceleration: 1e3, jerk: 1e5 },
-        },
-        protection: Protection {
-            continuous_current: 10.0,
-            thermal_time: 20.0,
-            temperature: 85.0,
-            command_timeout: 1.0,
-            stop_time: 3.0,
-            standstill: 2.0,
-        },
-    }
-}
+use quasidrive::schema::{LONGEST_PATH, Value};
+use quasidrive::supervisor::{Command, Mode};
 
 /// A drive that only remembers what it was told.
 struct Recorder {
@@ -95,7 +30,7 @@ impl Recorder {
     fn new(mode: Mode) -> Self {
         Self {
             mode,
-            parameters: parameters(paper()),
+            parameters: parameters(),
             commands: Vec::new(),
             told: Vec::new(),
             telemetry: Vec::new(),
@@ -118,8 +53,8 @@ impl Device for Recorder {
         Status { mode: self.mode, faults: Faults(u32::MAX), limits: ActiveLimits(u32::MAX) }
     }
 
-    fn parameters(&self) -> Parameters {
-        self.parameters
+    fn parameters(&self) -> &Parameters {
+        &self.parameters
     }
 
     fn command(&mut self, command: Command) -> Result<(), Refusal<'static>> {
@@ -132,7 +67,7 @@ impl Device for Recorder {
         self.done("change")
     }
 
-    fn write_parameters(&mut self, parameters: &Parameters) -> Result<(), Refusal<'static>> {
+    fn change_parameters(&mut self, parameters: &Parameters) -> Result<(), Refusal<'static>> {
         self.parameters = *parameters;
         self.done("write")
     }
@@ -187,13 +122,30 @@ fn answers(
 
 /// The answer to one request.
 fn ask(device: &mut Recorder, request: Request, check: impl FnOnce(Answer)) {
+    ask_in(&mut Session::default(), device, request, check);
+}
+
+/// The same in a conversation.
+fn ask_in(
+    session: &mut Session,
+    device: &mut Recorder,
+    request: Request,
+    check: impl FnOnce(Answer),
+) {
     let mut check = Some(check);
-    let count =
-        answers(&mut Session::default(), device, &frame(0x1234, request), |sequence, answer| {
-            assert_eq!(sequence, 0x1234);
-            check.take().expect("one answer")(answer);
-        });
+    let count = answers(session, device, &frame(0x1234, request), |sequence, answer| {
+        assert_eq!(sequence, 0x1234);
+        check.take().expect("one answer")(answer);
+    });
     assert_eq!(count, 1);
+}
+
+/// Stages values, each of which must be taken.
+fn stage(session: &mut Session, device: &mut Recorder, values: &[(&str, Value)]) {
+    for &(name, value) in values {
+        let request = Request::StageParameter { name, value };
+        ask_in(session, device, request, |answer| assert_eq!(answer, Answer::Done, "{name}"));
+    }
 }
 
 #[test]
@@ -203,23 +155,136 @@ fn every_request_has_its_answer() {
     ask(&mut device, Request::Identify, |answer| assert_eq!(answer, Answer::Identity(identity)));
     let status = device.status();
     ask(&mut device, Request::Status, |answer| assert_eq!(answer, Answer::Status(status)));
-    let set = device.parameters();
-    ask(&mut device, Request::ReadParameters, |answer| assert_eq!(answer, Answer::Parameters(set)));
-    for control in controls() {
-        let changed = parameters(control);
-        let done = |answer: Answer| assert_eq!(answer, Answer::Done);
-        ask(&mut device, Request::ChangeController(control), done);
-        assert_eq!(device.parameters.drive.control, control);
-        ask(&mut device, Request::WriteParameters(changed), done);
-        assert_eq!(device.parameters, changed);
-    }
     for request in
         [Request::SetTelemetry(7), Request::SaveParameters, Request::Command(Command::Arm)]
     {
         ask(&mut device, request, |answer| assert_eq!(answer, Answer::Done));
     }
-    assert_eq!(device.told[8..], ["telemetry", "save", "command"]);
+    assert_eq!(device.told, ["telemetry", "save", "command"]);
 }
+
+#[test]
+fn parameters_are_read_one_by_one() {
+    for set in every_name() {
+        let mut device = Recorder { parameters: set, ..Recorder::new(Mode::Running) };
+        let values = names(set).into_iter().filter_map(|(name, value)| Some((name, value?)));
+        let mut index = 0;
+        for (name, value) in values {
+            ask(&mut device, Request::ReadParameter(index), |answer| match (answer, value) {
+                (Answer::Parameter { name: told, value }, Value::Number(wanted)) => {
+                    assert_eq!(told, name);
+                    // A NaN is one too.
+                    assert!(
+                        matches!(value, Value::Number(number) if number.to_bits() == wanted.to_bits())
+                    );
+                }
+                (answer, wanted) => {
+                    assert_eq!(answer, Answer::Parameter { name: &name, value: wanted });
+                }
+            });
+            index += 1;
+        }
+        for index in [index, u16::MAX] {
+            ask(&mut device, Request::ReadParameter(index), |answer| {
+                assert_eq!(answer, Answer::Refused(Refusal::NoParameter));
+            });
+        }
+    }
+}
+
+#[test]
+fn parameters_are_changed_together() {
+    let mut device = Recorder::new(Mode::Ready);
+    let mut session = Session::default();
+    let mut expected = parameters();
+    stage(
+        &mut session,
+        &mut device,
+        &[("limits.duty", Value::Number(0.5)), ("control.memory", Value::Name("Integral"))],
+    );
+    assert_eq!(device.parameters, expected, "staged is not in force");
+    ask_in(&mut session, &mut device, Request::ApplyParameters, |answer| {
+        assert_eq!(answer, Answer::Done);
+    });
+    expected.drive.limits.duty = 0.5;
+    let ControlConfig::Drive(drive_form) = &mut expected.drive.control else {
+        unreachable!("it is the drive form")
+    };
+    *drive_form = drive_form.with_memory(quasidrive::control::drive_form::Memory::Integral);
+    assert_eq!(device.parameters, expected);
+    assert_eq!(device.told, ["write"]);
+    ask_in(&mut session, &mut device, Request::ApplyParameters, |answer| {
+        assert_eq!(answer, Answer::Refused(Refusal::NothingStaged));
+    });
+}
+
+#[test]
+fn what_is_staged_is_forgotten_by_a_refusal_and_by_a_new_host() {
+    let duty = ("limits.duty", Value::Number(0.5));
+    let unfit = |name, value| Request::StageParameter { name, value };
+    for (request, expected) in [
+        (unfit("limits.dutty", duty.1), Some(Refusal::NoParameter)),
+        (unfit("limits", duty.1), Some(Refusal::NoParameter)),
+        (unfit("control.k1", duty.1), Some(Refusal::NoParameter)),
+        (unfit("limits.duty", Value::Name("half")), Some(Refusal::UnfitValue)),
+        (unfit("control", Value::Name("Neural")), Some(Refusal::UnfitValue)),
+        (Request::Identify, None),
+    ] {
+        let mut device = Recorder::new(Mode::Ready);
+        let mut session = Session::default();
+        stage(&mut session, &mut device, &[duty]);
+        ask_in(&mut session, &mut device, request, |answer| match expected {
+            Some(refusal) => assert_eq!(answer, Answer::Refused(refusal), "{request:?}"),
+            None => assert!(matches!(answer, Answer::Identity(_))),
+        });
+        ask_in(&mut session, &mut device, Request::ApplyParameters, |answer| {
+            assert_eq!(answer, Answer::Refused(Refusal::NothingStaged), "{request:?}");
+        });
+        assert_eq!(device.parameters, parameters());
+    }
+    // Refused as a whole, too.
+    let mut device = Recorder::new(Mode::Ready);
+    device.refusal = Some(Refusal::Busy);
+    let mut session = Session::default();
+    stage(&mut session, &mut device, &[duty]);
+    for refusal in [Refusal::Busy, Refusal::NothingStaged] {
+        ask_in(&mut session, &mut device, Request::ApplyParameters, |answer| {
+            assert_eq!(answer, Answer::Refused(refusal));
+        });
+    }
+}
+
+#[test]
+fn a_controller_and_its_gains_change_in_every_mode() {
+    for mode in MODES {
+        for control in controls() {
+            let mut device = Recorder::new(mode);
+            let mut session = Session::default();
+            let wanted = names(with_control(&parameters(), control));
+            let values: Vec<_> = wanted
+                .iter()
+                .filter(|(name, _)| name.starts_with("control"))
+                .filter_map(|(name, value)| Some((name.as_str(), (*value)?)))
+                .collect();
+            stage(&mut session, &mut device, &values);
+            ask_in(&mut session, &mut device, Request::ApplyParameters, |answer| {
+                assert_eq!(answer, Answer::Done, "{mode:?}");
+            });
+            assert_eq!(device.told, ["change"]);
+            assert_eq!(device.parameters.drive.control, control);
+        }
+    }
+}
+
+const MODES: [Mode; 7] = [
+    Mode::Boot,
+    Mode::Calibrating,
+    Mode::Ready,
+    Mode::Armed,
+    Mode::Running,
+    Mode::Stopping,
+    Mode::Faulted,
+];
 
 #[test]
 fn every_request_is_a_sign_of_life() {
@@ -227,7 +292,9 @@ fn every_request_is_a_sign_of_life() {
     for request in [
         Request::Identify,
         Request::Status,
-        Request::ReadParameters,
+        Request::ReadParameter(3),
+        Request::StageParameter { name: "limits.duty", value: Value::Number(0.5) },
+        Request::ApplyParameters,
         Request::SetTelemetry(7),
         Request::SaveParameters,
         Request::Command(Command::KeepAlive),
@@ -250,20 +317,17 @@ fn every_request_is_a_sign_of_life() {
 }
 
 #[test]
-fn parameters_are_written_and_saved_with_outputs_off_only() {
-    for (mode, is_off) in [
-        (Mode::Boot, false),
-        (Mode::Calibrating, false),
-        (Mode::Ready, true),
-        (Mode::Armed, false),
-        (Mode::Running, false),
-        (Mode::Stopping, false),
-        (Mode::Faulted, true),
-    ] {
-        for request in [Request::WriteParameters(parameters(paper())), Request::SaveParameters] {
+fn other_parameters_change_and_are_saved_with_outputs_off_only() {
+    for mode in MODES {
+        let is_off = matches!(mode, Mode::Ready | Mode::Faulted);
+        let expected = if is_off { Answer::Done } else { Answer::Refused(Refusal::Mode(mode)) };
+        for request in [Request::ApplyParameters, Request::SaveParameters] {
             let mut device = Recorder::new(mode);
-            let expected = if is_off { Answer::Done } else { Answer::Refused(Refusal::Mode(mode)) };
-            ask(&mut device, request, |answer| assert_eq!(answer, expected));
+            let mut session = Session::default();
+            let values =
+                [("limits.duty", Value::Number(0.5)), ("control.load_torque", Value::Number(0.1))];
+            stage(&mut session, &mut device, &values);
+            ask_in(&mut session, &mut device, request, |answer| assert_eq!(answer, expected));
             assert_eq!(device.told.len(), usize::from(is_off), "{mode:?}");
         }
     }
@@ -280,13 +344,15 @@ fn a_refusal_names_its_reason() {
     for refusal in [config, Refusal::Busy, Refusal::SpeedOutOfRange, Refusal::Mode(Mode::Boot)] {
         let mut device = Recorder::new(Mode::Ready);
         device.refusal = Some(refusal);
-        for request in [
-            Request::Command(Command::Arm),
-            Request::ChangeController(paper()),
-            Request::WriteParameters(parameters(paper())),
-            Request::SaveParameters,
-        ] {
+        for request in [Request::Command(Command::Arm), Request::SaveParameters] {
             ask(&mut device, request, |answer| assert_eq!(answer, Answer::Refused(refusal)));
+        }
+        for name in ["limits.duty", "control.load_torque"] {
+            let mut session = Session::default();
+            stage(&mut session, &mut device, &[(name, Value::Number(0.5))]);
+            ask_in(&mut session, &mut device, Request::ApplyParameters, |answer| {
+                assert_eq!(answer, Answer::Refused(refusal), "{name}");
+            });
         }
     }
     assert_eq!(
@@ -334,12 +400,20 @@ fn telemetry_comes_when_asked_for_between_answers() {
 
 #[test]
 fn the_longest_message_fits() {
-    for control in controls() {
-        let set = parameters(control);
-        assert!(frame(u16::MAX, Request::WriteParameters(set)).len() <= LONGEST);
-        let answer = Message::Answer { sequence: u16::MAX, answer: Answer::Parameters(set) };
-        assert!(bytes(&answer).len() <= LONGEST);
-    }
+    // The longest refusals of a value are in `tests/parameters.rs`.
+    let longest = "x".repeat(LONGEST_PATH);
+    let request = Request::StageParameter { name: &longest, value: Value::Name(&longest) };
+    assert!(frame(u16::MAX, request).len() <= LONGEST);
+    let answer = Answer::Parameter { name: &longest, value: Value::Name(&longest) };
+    assert!(bytes(&Message::Answer { sequence: u16::MAX, answer }).len() <= LONGEST);
+    let identity = Identity {
+        version: u16::MAX,
+        board: &longest,
+        firmware: "100.100.100-alpha.1",
+        build: "0123456789012345678901234567890123456789-dirty",
+    };
+    let answer = Answer::Identity(identity);
+    assert!(bytes(&Message::Answer { sequence: u16::MAX, answer }).len() <= LONGEST);
     let text = "x".repeat(LONGEST);
     assert_eq!(encode(&text.as_str(), &mut [0; LONGEST]), None, "what does not fit is no frame");
 }
@@ -362,17 +436,25 @@ fn nothing_is_no_message() {
     assert_eq!(decode(&mut Decoder::new(), &[0; 9]), Vec::<Vec<u8>>::new());
 }
 
-fn any_request() -> impl Strategy<Value = Request> {
+fn any_request() -> impl Strategy<Value = Request<'static>> {
     let number = any::<f32>();
     prop_oneof![
         Just(Request::Identify),
         Just(Request::Status),
-        Just(Request::ReadParameters),
+        (0_u16..50).prop_map(Request::ReadParameter),
+        Just(Request::StageParameter { name: "control", value: Value::Name("Pi") }),
+        (
+            any::<f32>(),
+            prop::sample::select(vec!["limits.duty", "control.speed_bandwidth", "nothing"])
+        )
+            .prop_map(|(number, name)| Request::StageParameter {
+                name,
+                value: Value::Number(number)
+            }),
+        Just(Request::ApplyParameters),
         Just(Request::SetTelemetry(7)),
         number.prop_map(|speed| Request::Command(Command::Speed(speed))),
         Just(Request::Command(Command::Arm)),
-        (0_usize..4).prop_map(|index| Request::ChangeController(controls()[index])),
-        (0_usize..4).prop_map(|index| Request::WriteParameters(parameters(controls()[index]))),
     ]
 }
 

@@ -1,89 +1,79 @@
 //! Parameters by name, as text: to list, and to change.
 
-use quasidrive::parameters::Parameters;
-use quasidrive::parameters::named::{Error, Value};
-use std::cell::RefCell;
-use std::collections::{BTreeMap, BTreeSet};
+use quasidrive::schema::{Parameter, Value, walk};
+use std::fmt;
 
-/// A change that was refused.
-#[derive(Debug, PartialEq, Eq, thiserror::Error)]
-pub enum AssignmentError {
-    /// There is no such parameter, or not beside the others.
-    #[error("there is no parameter {0}, or not with the others as they are")]
-    Unknown(String),
-    /// The text is no value of the parameter, or one that needs others beside it.
-    #[error(
-        "{0} cannot be so, or not without parameters that are missing (`parameters get` lists those that are there)"
-    )]
-    Unfit(String),
-    /// The parameters cannot be named.
-    #[error("the parameters cannot be listed: {0}")]
-    Unlisted(#[from] Error),
+/// What a parameter is.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Setting {
+    /// A number, in its SI unit.
+    Number(f32),
+    /// A name.
+    Name(String),
 }
 
-/// All parameters, names and values.
-pub fn list(parameters: &Parameters) -> Result<Vec<(String, String)>, Error> {
-    let mut lines = Vec::new();
-    parameters.write(&mut |path, value| {
-        let text = match value {
-            Value::Group => return Ok(()),
-            Value::Number(number) => format!("{number:?}"),
-            Value::Integer(integer) => integer.to_string(),
-            Value::Flag(flag) => flag.to_string(),
-            Value::Name(name) => name.to_owned(),
-        };
-        lines.push((path.to_owned(), text));
-        Ok(())
-    })?;
-    Ok(lines)
-}
-
-/// Parameters with some changed.
-pub fn assign(
-    parameters: &Parameters,
-    changes: &[(String, String)],
-) -> Result<Parameters, AssignmentError> {
-    let mut present = BTreeMap::new();
-    parameters.write(&mut |path, value| {
-        present.insert(path.to_owned(), value);
-        Ok(())
-    })?;
-    // What holds a changed parameter may not be there yet.
-    for (name, _) in changes {
-        for (end, _) in name.match_indices('.') {
-            present.entry(name[..end].to_owned()).or_insert(Value::Group);
+impl Setting {
+    /// As the link tells it.
+    pub fn value(&self) -> Value<'_> {
+        match self {
+            Self::Number(number) => Value::Number(*number),
+            Self::Name(name) => Value::Name(name),
         }
     }
-    let wanted = RefCell::new(BTreeSet::new());
-    let changed = Parameters::read(&|path, accept| {
-        let present = present.get(path).copied();
-        let text = changes.iter().rev().find(|(name, _)| name == path).map(|(_, text)| text);
-        match text {
-            // Only what a group holds can change.
-            Some(text) if present != Some(Value::Group) => {
-                wanted.borrow_mut().insert(path.to_owned());
-                readings(text).find(accept)
-            }
-            _ => present.filter(accept),
+
+    /// What a text means.
+    pub fn parse(text: &str) -> Self {
+        // A name may look like NaN or infinity to a parser of numbers; neither is a parameter.
+        let number = text.parse().ok().filter(|number: &f32| number.is_finite());
+        number.map_or_else(|| Self::Name(text.to_owned()), Self::Number)
+    }
+}
+
+impl From<Value<'_>> for Setting {
+    fn from(value: Value) -> Self {
+        match value {
+            Value::Number(number) => Self::Number(number),
+            Value::Name(name) => Self::Name(name.to_owned()),
         }
+    }
+}
+
+impl fmt::Display for Setting {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        match self {
+            Self::Number(number) => write!(f, "{number:?}"),
+            Self::Name(name) => f.write_str(name),
+        }
+    }
+}
+
+/// A parameter's name and what it is.
+pub type Assignment = (String, Setting);
+
+/// `NAME=VALUE`.
+pub fn parse(text: &str) -> Result<Assignment, String> {
+    let (name, value) = text.split_once('=').ok_or("must be NAME=VALUE")?;
+    Ok((name.trim().to_owned(), Setting::parse(value.trim())))
+}
+
+/// All that is under a parameter, which is called `root`.
+pub fn list(root: &str, parameter: &mut dyn Parameter) -> Vec<Assignment> {
+    let mut assignments = Vec::new();
+    walk(parameter, &mut |path, parameter| {
+        let dot = if root.is_empty() || path.is_empty() { "" } else { "." };
+        if let Some(value) = parameter.get() {
+            assignments.push((format!("{root}{dot}{path}"), value.into()));
+        }
+        true
     });
-    let unknown = changes.iter().find(|(name, _)| !wanted.borrow().contains(name));
-    match (changed, unknown) {
-        (Ok(changed), None) => Ok(changed),
-        (_, Some((name, _))) => Err(AssignmentError::Unknown(name.clone())),
-        (Err(_), None) => {
-            let names: Vec<&str> = changes.iter().map(|(name, _)| name.as_str()).collect();
-            Err(AssignmentError::Unfit(names.join(", ")))
-        }
-    }
+    assignments
 }
 
-/// All values that a text can be.
-fn readings(text: &str) -> impl Iterator<Item = Value<'_>> {
-    let number = text.parse().ok().filter(|number: &f32| number.is_finite()).map(Value::Number);
-    let integer = text.parse().ok().map(Value::Integer);
-    let flag = text.parse().ok().map(Value::Flag);
-    [number, integer, flag, Some(Value::Name(text))].into_iter().flatten()
+/// The same, what is held behind what holds it.
+pub fn in_order(assignments: &[Assignment]) -> Vec<&Assignment> {
+    let mut ordered: Vec<_> = assignments.iter().collect();
+    ordered.sort_by_key(|(name, _)| name.matches('.').count());
+    ordered
 }
 
 #[cfg(test)]
@@ -92,30 +82,43 @@ mod tests {
     use crate::scenario::Scenario;
     use quasidrive::control::ControlConfig;
     use quasidrive::control::paper::Law;
+    use quasidrive::parameters::Parameters;
+    use quasidrive::schema::{SetError, set};
     use quasidrive::trajectory::Shape;
 
-    fn change(changes: &[(&str, &str)]) -> Result<Parameters, AssignmentError> {
-        let owned: Vec<_> =
-            changes.iter().map(|(name, text)| ((*name).to_owned(), (*text).to_owned())).collect();
-        assign(&Scenario::paper().parameters(), &owned)
+    fn change(changes: &[&str]) -> Result<Parameters, SetError> {
+        let changes: Vec<_> =
+            changes.iter().map(|text| parse(text).expect("an assignment")).collect();
+        let mut parameters = Scenario::paper().parameters();
+        for (name, setting) in in_order(&changes) {
+            set(&mut parameters, name, setting.value())?;
+        }
+        Ok(parameters)
     }
 
     #[test]
     fn what_is_listed_can_be_assigned() {
-        let parameters = Scenario::paper().parameters();
-        let lines = list(&parameters).expect("listed");
-        assert!(lines.contains(&("motor.resistance".to_owned(), "0.7".to_owned())), "{lines:?}");
-        assert!(lines.contains(&("control.Paper.law".to_owned(), "Qsmdo".to_owned())));
-        assert_eq!(assign(&parameters, &lines), Ok(parameters));
+        let mut parameters = Scenario::paper().parameters();
+        let lines: Vec<String> = list("", &mut parameters)
+            .iter()
+            .map(|(name, setting)| format!("{name}={setting}"))
+            .collect();
+        assert!(lines.contains(&"motor.resistance=0.7".to_owned()), "{lines:?}");
+        assert!(lines.contains(&"control.law=Qsmdo".to_owned()));
+        let lines: Vec<&str> = lines.iter().map(String::as_str).collect();
+        assert_eq!(change(&lines), Ok(parameters));
+        let control = list("control", &mut parameters.drive.control);
+        assert_eq!(control[0], ("control".to_owned(), Setting::Name("Paper".to_owned())));
+        assert_eq!(control[2].0, "control.gains.c");
     }
 
     #[test]
     fn numbers_names_and_flags_change() {
         let changed = change(&[
-            ("limits.speed", "250"),
-            ("control.Paper.gains.c", "1e2"),
-            ("control.Paper.law", "Backstepping"),
-            ("timing.delay", "false"),
+            "limits.speed=250",
+            "control.gains.c = 1e2",
+            "control.law=Backstepping",
+            "timing.delay=false",
         ])
         .expect("good");
         assert_eq!(changed.drive.limits.speed, 250.0);
@@ -128,32 +131,27 @@ mod tests {
     }
 
     #[test]
-    fn a_variant_changes_with_all_that_it_holds() {
-        let bandwidth = ("reference.SecondOrder.bandwidth", "60");
-        let shaped = change(&[("reference", "SecondOrder"), bandwidth]).expect("good");
+    fn what_holds_others_is_set_ahead_of_them() {
+        let shaped = change(&["reference.bandwidth=60", "reference=SecondOrder"]).expect("good");
         assert_eq!(shaped.drive.shape, Shape::SecondOrder { bandwidth: 60.0 });
-        let alone = change(&[("reference", "SecondOrder")]).expect_err("no bandwidth");
-        assert_eq!(alone, AssignmentError::Unfit("reference".to_owned()));
-        let other = change(&[bandwidth]).expect_err("another shape");
-        assert_eq!(other, AssignmentError::Unknown(bandwidth.0.to_owned()));
+        assert_eq!(change(&["reference.bandwidth=60"]), Err(SetError::Unknown), "another shape");
     }
 
     #[test]
-    fn what_does_not_fit_is_refused_by_name() {
-        for (name, text) in [
-            ("limits.speed", "fast"),
-            ("limits.speed", "NaN"),
-            ("limits.speed", "true"),
-            ("timing.delay", "1"),
-            ("control", "Neural"),
-            ("control.Paper.law", "qsmdo"),
+    fn what_does_not_fit_is_refused() {
+        for text in [
+            "limits.speed=fast",
+            "limits.speed=NaN",
+            "limits.speed=true",
+            "timing.delay=1",
+            "control=Neural",
+            "control.law=qsmdo",
         ] {
-            let error = change(&[(name, text)]).expect_err(text);
-            assert_eq!(error, AssignmentError::Unfit(name.to_owned()), "{text}");
+            assert_eq!(change(&[text]), Err(SetError::Unfit), "{text}");
         }
-        for name in ["limits.sped", "", "limits", "control.Drive.observer_bandwidth"] {
-            let error = change(&[(name, "1")]).expect_err(name);
-            assert_eq!(error, AssignmentError::Unknown(name.to_owned()));
+        for text in ["limits.sped=1", "=1", "limits=1", "control.observer_bandwidth=1"] {
+            assert_eq!(change(&[text]), Err(SetError::Unknown), "{text}");
         }
+        assert!(parse("limits.speed").is_err());
     }
 }

@@ -1,11 +1,11 @@
 //! The host's end of the link: a drive behind a serial port or a socket, asked and answering.
 
+use crate::assignment::Assignment;
 use quasidrive::link::BAUD_RATE;
 use quasidrive::link::frame::{Decoder, LONGEST, encode};
 use quasidrive::link::message::{
     Answer, Identity, Message, Numbered, Refusal, Request, Status, Telemetry, VERSION,
 };
-use quasidrive::parameters::Parameters;
 use quasidrive::supervisor::Command;
 use std::collections::VecDeque;
 use std::io::{ErrorKind, Read, Write};
@@ -94,7 +94,7 @@ impl Client {
             Answer::Identity(Identity { board, firmware, build, .. }) => {
                 Ok(format!("{board} board, firmware {firmware}, build {build}"))
             }
-            _ => Err(ClientError::WrongAnswer),
+            answer => Err(unwanted(answer)),
         })?;
         Ok(client)
     }
@@ -108,16 +108,41 @@ impl Client {
     pub fn status(&mut self) -> Result<Status, ClientError> {
         self.ask(Request::Status, |answer| match answer {
             Answer::Status(status) => Ok(status),
-            _ => Err(ClientError::WrongAnswer),
+            answer => Err(unwanted(answer)),
         })
     }
 
-    /// The parameters in force.
-    pub fn parameters(&mut self) -> Result<Parameters, ClientError> {
-        self.ask(Request::ReadParameters, |answer| match answer {
-            Answer::Parameters(parameters) => Ok(parameters),
-            _ => Err(ClientError::WrongAnswer),
-        })
+    /// The parameters in force, in the drive's order: what holds others is ahead of them.
+    pub fn parameters(&mut self) -> Result<Vec<Assignment>, ClientError> {
+        let mut parameters = Vec::new();
+        for index in 0..=u16::MAX {
+            let next = self.ask(Request::ReadParameter(index), |answer| match answer {
+                Answer::Parameter { name, value } => Ok(Some((name.to_owned(), value.into()))),
+                Answer::Refused(Refusal::NoParameter) => Ok(None),
+                answer => Err(unwanted(answer)),
+            })?;
+            let Some(parameter) = next else { break };
+            parameters.push(parameter);
+        }
+        Ok(parameters)
+    }
+
+    /// Changes parameters in this order, all of them or none.
+    pub fn change<'p>(
+        &mut self,
+        assignments: impl IntoIterator<Item = &'p Assignment>,
+    ) -> Result<(), ClientError> {
+        for (name, setting) in assignments {
+            let request = Request::StageParameter { name, value: setting.value() };
+            self.ask(request, |answer| match answer {
+                Answer::Done => Ok(()),
+                Answer::Refused(refusal) => {
+                    Err(ClientError::Refused(format!("{name}={setting}: {refusal}")))
+                }
+                _ => Err(ClientError::WrongAnswer),
+            })?;
+        }
+        self.have_done(Request::ApplyParameters)
     }
 
     /// Has a command done.
@@ -129,7 +154,7 @@ impl Client {
     pub fn have_done(&mut self, request: Request) -> Result<(), ClientError> {
         self.ask(request, |answer| match answer {
             Answer::Done => Ok(()),
-            _ => Err(ClientError::WrongAnswer),
+            answer => Err(unwanted(answer)),
         })
     }
 
@@ -160,10 +185,7 @@ impl Client {
             }
             self.receive(|sequence, answer| {
                 if sequence == wanted {
-                    result = Some(match answer {
-                        Answer::Refused(refusal) => Err(refused(refusal)),
-                        answer => read(answer),
-                    });
+                    result = Some(read(answer));
                 }
             })?;
         }
@@ -192,8 +214,12 @@ impl Client {
     }
 }
 
-fn refused(refusal: Refusal) -> ClientError {
-    ClientError::Refused(refusal.to_string())
+/// Why an answer is not the wanted one.
+fn unwanted(answer: Answer) -> ClientError {
+    match answer {
+        Answer::Refused(refusal) => ClientError::Refused(refusal.to_string()),
+        _ => ClientError::WrongAnswer,
+    }
 }
 
 fn is_nothing_yet(error: &std::io::Error) -> bool {

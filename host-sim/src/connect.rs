@@ -1,16 +1,19 @@
 //! `host-sim connect`: commands to a drive, on a board or served.
 
-use crate::assignment::{assign, list};
+use crate::assignment::{self, Assignment, in_order, list};
 use crate::client::Client;
 use crate::scenario::{Controller, Scenario};
 use crate::watch::{self, Watch};
 use anyhow::{Result, bail};
 use clap::{Args, Subcommand};
-use quasidrive::link::message::{Request, Status};
+use quasidrive::drive::DriveConfig;
+use quasidrive::link::message::{Request, Status, Telemetry};
+use quasidrive::schema;
 use quasidrive::supervisor::Command;
 use std::fmt::Display;
 use std::io::{Write, stdout};
 use std::path::PathBuf;
+use std::time::{Duration, Instant};
 
 /// Where the drive is, and what it shall do.
 #[derive(Args)]
@@ -63,26 +66,21 @@ enum ParametersAction {
         /// Beginnings of names: limits, motor.resistance.
         names: Vec<String>,
     },
-    /// Change parameters, all at once or none. Outputs must be off.
+    /// Change parameters, all at once or none. Outputs must be off, but for the controller and its gains (control and all under it).
     Set {
-        /// Names and values: limits.speed=400 reference=SecondOrder reference.SecondOrder.bandwidth=60.
-        #[arg(required = true, value_name = "NAME=VALUE", value_parser = parse_assignment)]
-        assignments: Vec<(String, String)>,
+        /// Names and values: limits.speed=400 reference=SecondOrder reference.bandwidth=60.
+        #[arg(required = true, value_name = "NAME=VALUE", value_parser = assignment::parse)]
+        assignments: Vec<Assignment>,
     },
     /// Keep the parameters in force when the power is off. Outputs must be off.
     Save,
-}
-
-fn parse_assignment(text: &str) -> Result<(String, String), String> {
-    let (name, value) = text.split_once('=').ok_or("must be NAME=VALUE")?;
-    Ok((name.trim().to_owned(), value.trim().to_owned()))
 }
 
 /// Does what was asked. Gives what the drive is doing then, but for parameters.
 pub fn run(connect: &Connect) -> Result<Option<Status>> {
     let mut client = Client::open(&connect.port)?;
     match &connect.action {
-        Action::Status => writeln!(stdout(), "{}", client.identity())?,
+        Action::Status => status(&mut client)?,
         Action::Arm => client.command(Command::Arm)?,
         Action::Stop => client.command(Command::Stop)?,
         Action::Disarm => client.command(Command::Off)?,
@@ -92,7 +90,7 @@ pub fn run(connect: &Connect) -> Result<Option<Status>> {
             if let Some(controller) = controller {
                 scenario.control.controller = *controller;
             }
-            client.have_done(Request::ChangeController(scenario.drive_config().control))?;
+            change_controller(&mut client, &scenario)?;
         }
         Action::Clear => client.command(Command::Clear)?,
         Action::Watch(watch) => return Ok(Some(watch::run(&mut client, watch)?)),
@@ -106,26 +104,62 @@ pub fn run(connect: &Connect) -> Result<Option<Status>> {
     Ok(Some(status))
 }
 
+/// How long a drive may take to tell of a period.
+const PATIENCE: Duration = Duration::from_millis(500);
+
+/// Telemetry that is not too much for a serial port (1 in so many periods).
+const DECIMATION: u32 = 200;
+
+/// Who the drive is, and a period of it.
+fn status(client: &mut Client) -> Result<()> {
+    writeln!(stdout(), "{}", client.identity())?;
+    client.have_done(Request::SetTelemetry(DECIMATION))?;
+    let start = Instant::now();
+    let mut last = None;
+    while last.is_none() && start.elapsed() < PATIENCE {
+        last = client.telemetry()?.pop();
+    }
+    client.have_done(Request::SetTelemetry(0))?;
+    match last {
+        Some(Telemetry { temperature, bus_voltage, current, speed, .. }) => writeln!(
+            stdout(),
+            "board {temperature:.1} °C, bus {bus_voltage:.2} V, current {current:.2} A, speed {speed:.2} rad/s"
+        )?,
+        None => writeln!(stdout(), "no telemetry: its control loop does not run")?,
+    }
+    Ok(())
+}
+
+/// The scenario's controller, tuned for the drive's own motor and sensors: those in force, not the scenario's.
+fn change_controller(client: &mut Client, scenario: &Scenario) -> Result<()> {
+    let mut drive = scenario.drive_config();
+    for (name, setting) in client.parameters()? {
+        // A drive of another version may have parameters that this program does not know.
+        let _ = schema::set(&mut drive, &name, setting.value());
+    }
+    let DriveConfig { motor, sensors, timing, limits, .. } = &drive;
+    let mut control = scenario.control_for(motor, sensors, timing, limits);
+    client.change(&list("control", &mut control))?;
+    Ok(())
+}
+
 fn parameters(client: &mut Client, action: &ParametersAction) -> Result<()> {
     match action {
         ParametersAction::Get { names } => {
-            let lines = list(&client.parameters()?)?;
+            let parameters = client.parameters()?;
             for name in names {
-                if !lines.iter().any(|(path, _)| path.starts_with(name.as_str())) {
+                if !parameters.iter().any(|(path, _)| path.starts_with(name.as_str())) {
                     bail!("there is no parameter {name}");
                 }
             }
             let is_wanted = |path: &str| {
                 names.is_empty() || names.iter().any(|name| path.starts_with(name.as_str()))
             };
-            for (path, text) in lines.iter().filter(|(path, _)| is_wanted(path)) {
-                writeln!(stdout(), "{path}={text}")?;
+            for (path, setting) in parameters.iter().filter(|(path, _)| is_wanted(path)) {
+                writeln!(stdout(), "{path}={setting}")?;
             }
         }
-        ParametersAction::Set { assignments } => {
-            let changed = assign(&client.parameters()?, assignments)?;
-            client.have_done(Request::WriteParameters(changed))?;
-        }
+        ParametersAction::Set { assignments } => client.change(in_order(assignments))?,
         ParametersAction::Save => client.have_done(Request::SaveParameters)?,
     }
     Ok(())

@@ -6,6 +6,7 @@ use embedded_storage::nor_flash::{
 };
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
+use std::ops::Range;
 use std::path::Path;
 
 /// Bytes of a page, which is erased at once.
@@ -27,6 +28,9 @@ pub struct SimulatedFlash {
     powered: bool,
     /// A bit that stays as it is, and how.
     worn: Option<(usize, bool)>,
+    /// Where what a power failure left does not match its error-correcting code, if reading that is an error.
+    broken: Option<Range<usize>>,
+    is_checked: bool,
 }
 
 /// When and how the power fails.
@@ -67,6 +71,8 @@ pub enum FlashError {
     PowerLost,
     /// A word was written that was not erased.
     NotErased,
+    /// What was read does not match its error-correcting code.
+    Uncorrectable,
     /// Bad arguments.
     Arguments(NorFlashErrorKind),
 }
@@ -75,7 +81,7 @@ impl NorFlashError for FlashError {
     fn kind(&self) -> NorFlashErrorKind {
         match self {
             Self::Arguments(kind) => *kind,
-            Self::PowerLost | Self::NotErased => NorFlashErrorKind::Other,
+            Self::PowerLost | Self::NotErased | Self::Uncorrectable => NorFlashErrorKind::Other,
         }
     }
 }
@@ -90,7 +96,15 @@ impl SimulatedFlash {
     }
 
     fn holding(memory: Vec<u8>) -> Self {
-        Self { memory, operations: 0, failure: None, powered: true, worn: None }
+        Self {
+            memory,
+            operations: 0,
+            failure: None,
+            powered: true,
+            worn: None,
+            broken: None,
+            is_checked: false,
+        }
     }
 
     /// With the contents of a file, which must be all of the flash.
@@ -109,7 +123,13 @@ impl SimulatedFlash {
 
     /// The same flash after the power has come back.
     pub fn powered_again(&self) -> Self {
-        Self::holding(self.memory.clone())
+        let Self { broken, is_checked, .. } = self.clone();
+        Self { broken, is_checked, ..Self::holding(self.memory.clone()) }
+    }
+
+    /// Lets reading fail where an operation was interrupted, whatever it left there.
+    pub fn check_when_reading(&mut self) {
+        self.is_checked = true;
     }
 
     /// Lets the power fail in the operation, a word's write or a page's erase, that follows the next `operations`.
@@ -148,9 +168,17 @@ impl SimulatedFlash {
             Some(failure) if failure.operation == self.operations => {
                 failure.tear(old, new);
                 self.powered = false;
+                self.broken = Some(start..start + new.len());
                 return Err(FlashError::PowerLost);
             }
             _ => old.copy_from_slice(new),
+        }
+        if self
+            .broken
+            .as_ref()
+            .is_some_and(|broken| (start..start + new.len()).contains(&broken.start))
+        {
+            self.broken = None;
         }
         self.operations += 1;
         if let Some((bit, state)) = self.worn
@@ -198,7 +226,12 @@ impl ReadNorFlash for SimulatedFlash {
         if !self.powered {
             return Err(FlashError::PowerLost);
         }
-        bytes.copy_from_slice(&self.memory[offset as usize..][..bytes.len()]);
+        let (start, end) = (offset as usize, offset as usize + bytes.len());
+        let is_broken = |broken: &Range<usize>| start < broken.end && broken.start < end;
+        if self.is_checked && self.broken.as_ref().is_some_and(is_broken) {
+            return Err(FlashError::Uncorrectable);
+        }
+        bytes.copy_from_slice(&self.memory[start..end]);
         Ok(())
     }
 

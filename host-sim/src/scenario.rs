@@ -5,7 +5,7 @@
 use crate::plant::{MOST_STEPS, Motor, Plant, State};
 use crate::profile::{Load, Step};
 use crate::rule::{Broken, finite, non_negative, positive, rule};
-use crate::sensors::{ReadsName, SensorsTable};
+use crate::sensors::SensorsTable;
 use clap::ValueEnum;
 use quasidrive::control::drive_form::{DriveFormConfig, Memory, bandwidth_for_ripple};
 use quasidrive::control::ladrc::LadrcConfig;
@@ -16,7 +16,7 @@ use quasidrive::drive::{DriveConfig, Limits};
 use quasidrive::estimate::SpeedSource;
 use quasidrive::motor::MotorParameters;
 use quasidrive::parameters::Parameters;
-use quasidrive::sense::Sensors;
+use quasidrive::sense::{Reads, Sensors};
 use quasidrive::supervisor::{Protection, Supervisor};
 use quasidrive::trajectory::Shape;
 use serde::{Deserialize, Serialize};
@@ -593,35 +593,57 @@ impl Scenario {
             rule(resolved, &frequency, "must be at most a tenth of timing.rate", sine.frequency)?;
             finite(&format!("load.sines[{index}].phase"), sine.phase)?;
         }
-        // Then the drive's own rules, with its own names for the same fields.
+        // Then the drive's own rules.
         let Parameters { drive, protection } = self.parameters();
-        Supervisor::<f32>::new(&drive, &protection)?;
+        Supervisor::<f32>::new(&drive, &protection)
+            .map_err(|error| Broken { field: self.name_in_file(error.field), ..error.into() })?;
         let steps = Plant::new(self.motor).steps_for(1.0 / self.timing.rate);
         let playable = steps <= MOST_STEPS;
         rule(playable, "motor.inductance", TOO_FAST, self.motor.inductance)?;
         Ok(())
     }
 
+    /// What a drive's parameter is called in a scenario.
+    fn name_in_file(&self, parameter: &str) -> String {
+        let table = match self.control.controller {
+            Controller::Bs | Controller::BsQsmdo | Controller::BsQismc => "control",
+            Controller::DriveQsmdo | Controller::DriveQismc => "tuning",
+            Controller::Pi => "pi",
+            Controller::Ladrc => "ladrc",
+        };
+        let (group, name) = parameter.rsplit_once('.').unwrap_or(("", parameter));
+        match (group, name) {
+            ("control.speed", "bandwidth") => "control.speed_bandwidth".to_owned(),
+            ("control.gains", gain) => format!("gains.{gain}"),
+            ("control", "observer_bandwidth") if table == "tuning" => "tuning.bandwidth".to_owned(),
+            ("control", name) if name != "speed" => format!("{table}.{name}"),
+            _ => parameter.to_owned(),
+        }
+    }
+
     /// The configuration of the drive that this scenario tests.
     pub fn drive_config(&self) -> DriveConfig {
         let limits = &self.limits;
         let current_command = limits.current_command.unwrap_or(0.5 * limits.current);
+        let (motor, timing) = (self.believed_motor(), self.believed_timing());
+        let sensors = match &self.sensors {
+            Some(sensors) => Sensors::Codes(sensors.calibration()),
+            None => Sensors::Exact,
+        };
+        let limits = Limits {
+            duty: limits.duty as f32,
+            speed: limits.speed as f32,
+            current: limits.current as f32,
+            current_command: current_command as f32,
+            bus_min: limits.bus_min as f32,
+            bus_max: limits.bus_max as f32,
+        };
         DriveConfig {
-            motor: self.believed_motor(),
-            sensors: match &self.sensors {
-                Some(sensors) => Sensors::Codes(sensors.calibration()),
-                None => Sensors::Exact,
-            },
-            control: self.control_config(),
-            timing: self.believed_timing(),
-            limits: Limits {
-                duty: limits.duty as f32,
-                speed: limits.speed as f32,
-                current: limits.current as f32,
-                current_command: current_command as f32,
-                bus_min: limits.bus_min as f32,
-                bus_max: limits.bus_max as f32,
-            },
+            motor,
+            sensors,
+            control: self.control_for(&motor, &sensors, &timing, &limits),
+            timing,
+            limits,
             // A broken one is refused before this matters.
             shape: self.reference.shape().unwrap_or_default(),
         }
@@ -660,27 +682,33 @@ impl Scenario {
         }
     }
 
-    fn control_config(&self) -> ControlConfig {
-        let paper = |law| ControlConfig::Paper(self.paper_config(law));
+    /// The scenario's controller for a drive that has this motor, these sensors, timing and limits.
+    pub fn control_for(
+        &self,
+        motor: &MotorParameters,
+        sensors: &Sensors,
+        timing: &Timing,
+        limits: &Limits,
+    ) -> ControlConfig {
+        let speed = self.speed_source(sensors);
+        let paper = |law| ControlConfig::Paper(self.paper_config(law, speed));
+        let drive_form = || self.drive_form(motor, sensors, timing, limits);
         match self.control.controller {
             Controller::Bs => paper(Law::Backstepping),
             Controller::BsQsmdo => paper(Law::Qsmdo),
             Controller::BsQismc => paper(Law::Qismc),
-            Controller::DriveQsmdo => ControlConfig::Drive(self.drive_form()),
+            Controller::DriveQsmdo => ControlConfig::Drive(drive_form()),
             Controller::DriveQismc => {
-                ControlConfig::Drive(self.drive_form().with_memory(Memory::Integral))
+                ControlConfig::Drive(drive_form().with_memory(Memory::Integral))
             }
-            Controller::Pi => ControlConfig::Pi(self.pi_config()),
-            Controller::Ladrc => ControlConfig::Ladrc(self.ladrc_config()),
+            Controller::Pi => ControlConfig::Pi(self.pi_config(timing, speed)),
+            Controller::Ladrc => ControlConfig::Ladrc(self.ladrc_config(timing, speed)),
         }
     }
 
-    fn pi_config(&self) -> PiConfig {
+    fn pi_config(&self, timing: &Timing, speed: SpeedSource) -> PiConfig {
         let PiTable { current_bandwidth, speed_bandwidth, speed_damping, disturbance } = self.pi;
-        let mut config = PiConfig::magnitude_and_symmetrical_optimum(
-            &self.believed_timing(),
-            self.speed_source(),
-        );
+        let mut config = PiConfig::magnitude_and_symmetrical_optimum(timing, speed);
         replace(&mut config.current_bandwidth, current_bandwidth);
         replace(&mut config.speed_bandwidth, speed_bandwidth);
         replace(&mut config.speed_damping, speed_damping);
@@ -688,21 +716,18 @@ impl Scenario {
         config
     }
 
-    fn ladrc_config(&self) -> LadrcConfig {
+    fn ladrc_config(&self, timing: &Timing, speed: SpeedSource) -> LadrcConfig {
         let LadrcTable { control_bandwidth, observer_bandwidth, current_bandwidth } = self.ladrc;
-        let mut config = LadrcConfig::by_bandwidth(
-            control_bandwidth.unwrap_or(150.0) as f32,
-            &self.believed_timing(),
-            self.speed_source(),
-        );
+        let mut config =
+            LadrcConfig::by_bandwidth(control_bandwidth.unwrap_or(150.0) as f32, timing, speed);
         replace(&mut config.observer_bandwidth, observer_bandwidth);
         replace(&mut config.current_bandwidth, current_bandwidth);
         config
     }
 
-    fn speed_source(&self) -> SpeedSource {
-        let default = match self.sensors {
-            Some(sensors) if sensors.reads != ReadsName::Edges => SpeedName::FedPll,
+    fn speed_source(&self, sensors: &Sensors) -> SpeedSource {
+        let default = match sensors {
+            Sensors::Codes(calibration) if calibration.reads != Reads::Edges => SpeedName::FedPll,
             _ => SpeedName::Exact,
         };
         let default_bandwidth = match self.control.controller {
@@ -731,7 +756,7 @@ impl Scenario {
         }
     }
 
-    fn paper_config(&self, law: Law) -> PaperConfig {
+    fn paper_config(&self, law: Law, speed: SpeedSource) -> PaperConfig {
         PaperConfig {
             law,
             gains: self.gains(),
@@ -743,26 +768,32 @@ impl Scenario {
                 StartName::Zero => Start::Zero,
                 StartName::Matched => Start::Matched,
             },
-            speed: self.speed_source(),
+            speed,
         }
     }
 
-    fn drive_form(&self) -> DriveFormConfig {
+    fn drive_form(
+        &self,
+        motor: &MotorParameters,
+        sensors: &Sensors,
+        timing: &Timing,
+        limits: &Limits,
+    ) -> DriveFormConfig {
         let &Tuning { bandwidth, ripple, load_torque, voltage_reserve, .. } = &self.tuning;
-        let (motor, timing) = (self.believed_motor(), self.believed_timing());
-        let calibration = self.sensors.unwrap_or_default().calibration();
-        let limits = &self.limits;
-        let current = limits.current_command.unwrap_or(0.5 * limits.current);
+        let calibration = match sensors {
+            Sensors::Codes(calibration) => *calibration,
+            Sensors::Exact => SensorsTable::default().calibration(),
+        };
         let default = DriveFormConfig::default_for(
-            &motor,
-            &timing,
+            motor,
+            timing,
             &calibration,
             self.bus.voltage as f32,
-            current as f32,
+            limits.current_command,
         );
         let mut knob = default.observer_bandwidth;
         if let Some(ripple) = ripple {
-            knob = bandwidth_for_ripple(&motor, &timing, &calibration, ripple as f32);
+            knob = bandwidth_for_ripple(motor, timing, &calibration, ripple as f32);
         }
         replace(&mut knob, bandwidth);
         let mut config = DriveFormConfig::new(knob, default.load_torque, default.voltage_reserve);

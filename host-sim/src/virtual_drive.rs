@@ -21,8 +21,8 @@ use std::collections::VecDeque;
 use std::ops::Range;
 use std::time::{Duration, Instant};
 
-/// Where the flash keeps parameters: its last four pages.
-pub const REGION: Range<u32> = 0x1_e000..0x2_0000;
+/// Where the flash keeps parameters: its last two pages.
+pub const REGION: Range<u32> = 0x1_f000..0x2_0000;
 
 /// Telemetry that may wait.
 const WAITING: usize = 64;
@@ -111,6 +111,7 @@ impl VirtualDrive {
             voltage: 0.0,
             bus_voltage,
             load_torque: 0.0,
+            temperature: CONDITIONS.temperature,
             interrupt_time: nanoseconds(self.interrupt_time),
             longest_interrupt_time: nanoseconds(self.longest_interrupt_time),
         };
@@ -166,8 +167,8 @@ impl Device for VirtualDrive {
         }
     }
 
-    fn parameters(&self) -> Parameters {
-        self.parameters
+    fn parameters(&self) -> &Parameters {
+        &self.parameters
     }
 
     fn command(&mut self, command: Command) -> Result<(), Refusal<'static>> {
@@ -181,7 +182,7 @@ impl Device for VirtualDrive {
         Ok(())
     }
 
-    fn write_parameters(&mut self, parameters: &Parameters) -> Result<(), Refusal<'static>> {
+    fn change_parameters(&mut self, parameters: &Parameters) -> Result<(), Refusal<'static>> {
         let mut supervisor = build(parameters, &self.parameters.drive.timing)?;
         supervisor.succeed(&self.supervisor);
         self.supervisor = supervisor;

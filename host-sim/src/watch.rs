@@ -1,8 +1,9 @@
 //! `connect … watch`: what a drive is doing, live: as a plot with keys on a terminal, as lines elsewhere.
 
+use crate::assignment::{Assignment, Setting};
 use crate::client::{Client, ClientError};
 use crate::connect::in_words;
-use anyhow::Result;
+use anyhow::{Result, bail};
 use clap::Args;
 use crossterm::event::{self, Event, KeyCode, KeyEventKind};
 use quasidrive::link::message::{Request, Status, Telemetry};
@@ -52,10 +53,11 @@ pub fn run(client: &mut Client, watch: &Watch) -> Result<Status> {
     let is_plain = watch.plain || !stdout().is_terminal();
     let wanted = watch.rate.unwrap_or(if is_plain { 10 } else { 200 });
     let parameters = client.parameters()?;
-    let rate = parameters.drive.timing.rate;
+    let [rate, fastest] = ["timing.rate", "limits.speed"].map(|name| number(&parameters, name));
+    let (rate, fastest) = (rate?, fastest?);
     let decimation = (rate / wanted as f32).round().max(1.0) as u32;
     client.have_done(Request::SetTelemetry(decimation))?;
-    let mut view = View::new(client, f64::from(rate), parameters.drive.limits.speed)?;
+    let mut view = View::new(client, f64::from(rate), fastest)?;
     let watched = if is_plain {
         print(client, &mut view, end)
     } else {
@@ -67,6 +69,14 @@ pub fn run(client: &mut Client, watch: &Watch) -> Result<Status> {
     watched?;
     client.have_done(Request::SetTelemetry(0))?;
     Ok(view.status)
+}
+
+fn number(parameters: &[Assignment], name: &str) -> Result<f32> {
+    let found = parameters.iter().find(|(path, _)| path == name);
+    match found {
+        Some((_, Setting::Number(number))) => Ok(*number),
+        _ => bail!("the drive does not tell its {name}"),
+    }
 }
 
 /// What is shown.
@@ -122,8 +132,16 @@ fn print(client: &mut Client, view: &mut View, end: Option<Instant>) -> Result<(
     writeln!(out, "# {}", in_words(&view.status))?;
     writeln!(
         out,
-        "# {:>8} {:>10} {:>10} {:>8} {:>8} {:>8} {:>10} {:>12}",
-        "time/s", "speed", "reference", "current", "voltage", "bus", "load", "interrupt/ns"
+        "# {:>8} {:>10} {:>10} {:>8} {:>8} {:>8} {:>10} {:>12} {:>8}",
+        "time/s",
+        "speed",
+        "reference",
+        "current",
+        "voltage",
+        "bus",
+        "load",
+        "interrupt/ns",
+        "board/°C"
     )?;
     let mut asked = Instant::now();
     while end.is_none_or(|end| Instant::now() < end) {
@@ -144,12 +162,13 @@ fn print(client: &mut Client, view: &mut View, end: Option<Instant>) -> Result<(
                 voltage,
                 bus_voltage,
                 load_torque,
+                temperature,
                 interrupt_time,
                 ..
             } = telemetry;
             writeln!(
                 out,
-                "{time:>10.3} {speed:>10.3} {reference:>10.3} {current:>8.3} {voltage:>8.3} {bus_voltage:>8.3} {load_torque:>10.5} {interrupt_time:>12}"
+                "{time:>10.3} {speed:>10.3} {reference:>10.3} {current:>8.3} {voltage:>8.3} {bus_voltage:>8.3} {load_torque:>10.5} {interrupt_time:>12} {temperature:>8.1}"
             )?;
         }
         out.flush()?;
@@ -243,12 +262,13 @@ fn draw(frame: &mut Frame, view: &View) {
     .areas(frame.area());
     let last = view.past.back().map(|(_, telemetry)| *telemetry).unwrap_or_default();
     let numbers = format!(
-        "speed {:.2} rad/s   current {:.2} A   voltage {:.2} of {:.2} V   load {:.4} N·m   interrupt {} ns, at most {} ns",
+        "speed {:.2} rad/s   current {:.2} A   voltage {:.2} of {:.2} V   load {:.4} N·m   board {:.1} °C   interrupt {} ns, at most {} ns",
         last.speed,
         last.current,
         last.voltage,
         last.bus_voltage,
         last.load_torque,
+        last.temperature,
         last.interrupt_time,
         last.longest_interrupt_time
     );

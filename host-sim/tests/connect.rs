@@ -96,11 +96,11 @@ fn last_telemetry(output: &[u8]) -> Vec<f64> {
 #[test]
 fn a_motor_is_spun_from_the_command_line() {
     let served = Served::start(&[]);
-    served
-        .connect(&["status"])
-        .assert()
-        .success()
-        .stdout(contains("simulated board, firmware").and(contains("mode Ready, faults: none")));
+    served.connect(&["status"]).assert().success().stdout(
+        contains("simulated board, firmware")
+            .and(contains("mode Ready, faults: none"))
+            .and(contains("board 25.0 °C, bus 24.0")),
+    );
     served
         .connect(&["speed", "100"])
         .assert()
@@ -113,12 +113,14 @@ fn a_motor_is_spun_from_the_command_line() {
     let watched =
         served.connect(&["watch", "--plain", "--seconds", "2", "--rate", "20"]).assert().success();
     let output = &watched.get_output().stdout;
-    let [_, speed, reference, _, voltage, bus, load, _] = last_telemetry(output)[..] else {
-        unreachable!("eight columns")
+    let [_, speed, reference, _, voltage, bus, load, _, temperature] = last_telemetry(output)[..]
+    else {
+        unreachable!("nine columns")
     };
     assert!((speed - 100.0).abs() < 1.0 && (reference - 100.0).abs() < 0.1, "{speed}, {reference}");
     assert!((6.0..8.0).contains(&voltage) && (bus - 24.0).abs() < 0.1, "{voltage} V of {bus} V");
     assert!((0.0..0.05).contains(&load), "{load} N·m");
+    assert_eq!(temperature, 25.0);
     let lines = output.split(|byte| *byte == b'\n').filter(|line| !line.starts_with(b"#")).count();
     assert!((30..=42).contains(&lines), "{lines} lines of 40");
     served
@@ -131,7 +133,7 @@ fn a_motor_is_spun_from_the_command_line() {
     let watched = served.connect(&["watch", "--plain", "--seconds", "1"]).assert().success();
     let [_, speed, reference, _, voltage, ..] = last_telemetry(&watched.get_output().stdout)[..]
     else {
-        unreachable!("eight columns")
+        unreachable!("nine columns")
     };
     assert_eq!([reference, voltage], [0.0, 0.0]);
     assert!(speed.abs() < 5.0, "friction stops it: {speed}");
@@ -216,7 +218,7 @@ fn parameters_are_shown_changed_and_saved() {
         .connect(&["parameters", "get", "limits.duty", "reference"])
         .assert()
         .success()
-        .stdout("limits.duty=0.92\nreference=SecondOrder\nreference.SecondOrder.bandwidth=40.0\n");
+        .stdout("limits.duty=0.92\nreference=SecondOrder\nreference.bandwidth=40.0\n");
     served
         .connect(&["parameters", "get"])
         .assert()
@@ -228,8 +230,12 @@ fn parameters_are_shown_changed_and_saved() {
             &["timing.rate=10000"],
             "refused: timing.rate and timing.delay must be as in the scenario",
         ),
-        (&["limits.dutty=0.5"], "there is no parameter limits.dutty"),
-        (&["limits.duty=half"], "limits.duty cannot be so"),
+        (&["limits.dutty=0.5"], "limits.dutty=0.5: there is no such parameter"),
+        (&["limits.duty=half"], "limits.duty=half: the parameter cannot have this value"),
+        (&["limits.duty=NaN"], "limits.duty=NaN: the parameter cannot have this value"),
+        (&["control.memory=1"], "control.memory=1.0: the parameter cannot have this value"),
+        // Gains that are not given are not guessed.
+        (&["control=Ladrc"], "refused: control.current_bandwidth must be"),
         (&["limits.duty=0.5", "protection.temperature=200"], "must be from 0 to 120 °C"),
     ] {
         let mut set = served.connect(&["parameters", "set"]);
@@ -250,9 +256,9 @@ fn parameters_are_shown_changed_and_saved() {
         "parameters",
         "set",
         "limits.duty=0.5",
+        "reference.acceleration=2000",
+        "reference.jerk=1e5",
         "reference=SCurve",
-        "reference.SCurve.acceleration=2000",
-        "reference.SCurve.jerk=1e5",
     ];
     served.connect(&set).assert().success();
     duty(&served, "0.5");
@@ -265,6 +271,8 @@ fn parameters_are_shown_changed_and_saved() {
     duty(&served, "0.5");
     let client = served.running(10.0);
     drop(client);
+    // Gains change while it runs.
+    served.connect(&["parameters", "set", "control.load_torque=0.25"]).assert().success();
     for action in [&["set", "limits.duty=0.7"][..], &["save"]] {
         let mut refused = served.connect(&["parameters"]);
         refused
@@ -276,8 +284,9 @@ fn parameters_are_shown_changed_and_saved() {
     drop(served);
     // A flash that is damaged where the set is: a fault, and safe defaults.
     let mut memory = std::fs::read(&flash).expect("written");
-    let place = memory[0x1_e000..].iter().rposition(|byte| *byte == b'S').expect("SCurve");
-    memory[0x1_e000 + place] ^= 1;
+    let jerk = 1e5_f32.to_le_bytes();
+    let place = memory.windows(4).rposition(|bytes| bytes == jerk).expect("reference.jerk");
+    memory[place] ^= 1;
     std::fs::write(&flash, memory).expect("written");
     let served = Served::start(&arguments);
     served.connect(&["status"]).assert().code(3).stdout(contains("17 bad parameters"));
@@ -305,7 +314,7 @@ fn another_controller_takes_over_while_the_motor_turns() {
         served.connect(&["controller", file, "--controller", name]).assert().success();
         let watched = served.connect(&["watch", "--plain", "--seconds", "1"]).assert().success();
         let [_, speed, ..] = last_telemetry(&watched.get_output().stdout)[..] else {
-            unreachable!("eight columns")
+            unreachable!("nine columns")
         };
         assert!((speed - 100.0).abs() < 3.0, "{name}: {speed}");
     }

@@ -2,16 +2,21 @@
 #![allow(unsafe_code, reason = "shared without a lock, in turn")]
 
 use core::cell::UnsafeCell;
+use core::mem::MaybeUninit;
 
 /// Holds nothing until it is handed over.
-pub(super) struct HandedOver<T>(UnsafeCell<Option<T>>);
+// Not an option: where none is not all zeros, flash holds an image of the whole.
+pub(super) struct HandedOver<T> {
+    is_there: UnsafeCell<bool>,
+    state: UnsafeCell<MaybeUninit<T>>,
+}
 
 // SAFETY: written only before the interrupt is enabled, used only by the interrupt afterwards; see the methods.
 unsafe impl<T: Send> Sync for HandedOver<T> {}
 
 impl<T> HandedOver<T> {
     pub const fn new() -> Self {
-        Self(UnsafeCell::new(None))
+        Self { is_there: UnsafeCell::new(false), state: UnsafeCell::new(MaybeUninit::uninit()) }
     }
 
     /// Hands the state over.
@@ -20,7 +25,10 @@ impl<T> HandedOver<T> {
     /// The interrupt must still be masked.
     pub unsafe fn hand_over(&self, state: T) {
         // SAFETY: the caller sees to it that there is no other user.
-        unsafe { *self.0.get() = Some(state) }
+        unsafe {
+            (*self.state.get()).write(state);
+            *self.is_there.get() = true;
+        }
     }
 
     /// The state, if it was handed over.
@@ -30,7 +38,7 @@ impl<T> HandedOver<T> {
     #[inline]
     #[allow(clippy::mut_from_ref, reason = "the one user is the interrupt, which does not nest")]
     pub unsafe fn state(&self) -> Option<&mut T> {
-        // SAFETY: the caller is the only user.
-        unsafe { (*self.0.get()).as_mut() }
+        // SAFETY: the caller is the only user, and what is there was written.
+        unsafe { (*self.is_there.get()).then(|| (*self.state.get()).assume_init_mut()) }
     }
 }

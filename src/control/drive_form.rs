@@ -30,12 +30,12 @@ use crate::estimate::AngleObserver;
 use crate::math::{Base, Scalar, atanh, exp_m1, sqrt};
 use crate::motor::{Coefficients, MotorParameters};
 use crate::per_unit::{ACCELERATION, Bases, JERK};
+use crate::schema::{choice, group};
 use crate::sense::{Calibration, Measured, Rotation};
 use crate::trajectory::Reference;
-use serde::{Deserialize, Serialize};
 
 /// What σ1 remembers.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Memory {
     /// ω̂ (BS-QSMDO).
     #[default]
@@ -45,8 +45,10 @@ pub enum Memory {
     Integral,
 }
 
+choice! { Memory { Observer, Integral } }
+
 /// What the drive form is built from. [`DriveFormConfig::new`] derives all from one bandwidth; experts may set each.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DriveFormConfig {
     /// What σ1 remembers.
     pub memory: Memory,
@@ -64,6 +66,13 @@ pub struct DriveFormConfig {
     pub load_torque: f32,
     /// Largest voltage that the armature's model may lack (V): |ΔKb|·ω + |ΔRa|·i, brush drop and dead time. Positive.
     pub voltage_reserve: f32,
+}
+
+group! {
+    DriveFormConfig {
+        memory, observer_bandwidth, speed_bandwidth, current_bandwidth, voltage_bandwidth, output_bandwidth,
+        load_torque, voltage_reserve,
+    }
 }
 
 impl DriveFormConfig {

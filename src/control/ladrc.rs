@@ -20,12 +20,12 @@ use crate::config::{ConfigError, positive, require};
 use crate::estimate::{SpeedEstimator, SpeedSource};
 use crate::math::{Scalar, exp_m1};
 use crate::per_unit::Bases;
+use crate::schema::group;
 use crate::sense::Measured;
 use crate::trajectory::Reference;
-use serde::{Deserialize, Serialize};
 
 /// What LADRC is built from.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LadrcConfig {
     /// Bandwidth wc of the speed loop (rad/s). Positive, and at most 0.6 of the current loop's.
     pub control_bandwidth: f32,
@@ -37,6 +37,8 @@ pub struct LadrcConfig {
     /// Where the speed that the observer sees comes from.
     pub speed: SpeedSource,
 }
+
+group! { LadrcConfig { control_bandwidth, observer_bandwidth, current_bandwidth, speed } }
 
 impl LadrcConfig {
     /// From the bandwidth of the speed loop (rad/s) alone: an observer four times as fast (three to five times is
@@ -89,7 +91,7 @@ impl<S: Scalar> ExtendedStateObserver<S> {
     fn new(bandwidth: f32, period: f32, bases: &Bases) -> Result<Self, ConfigError> {
         let share = -exp_m1(-bandwidth * period);
         let &Bases { speed: w, acceleration: a, .. } = bases;
-        let field = "control.ladrc.observer_bandwidth";
+        let field = "control.observer_bandwidth";
         let moved = [(0.5 * period, a), (period, a)];
         Ok(Self {
             lead: S::ZERO,
@@ -131,29 +133,33 @@ impl<S: Scalar> Ladrc<S> {
             config;
         let &Setting { motor, timing, shaft, ranges, bases } = setting;
         let period = timing.period();
-        let current =
-            CurrentLoop::new("control.ladrc.current_bandwidth", current_bandwidth, setting)?;
+        let current = CurrentLoop::new("control.current_bandwidth", current_bandwidth, setting)?;
         let estimator = SpeedEstimator::new(&speed, shaft, bases)?;
-        positive("control.ladrc.control_bandwidth", control_bandwidth)?;
+        positive("control.control_bandwidth", control_bandwidth)?;
         require(
             control_bandwidth <= 0.6 * current_bandwidth,
-            "control.ladrc.control_bandwidth",
+            "control.control_bandwidth",
             "must be at most 0.6 of the current loop's",
             control_bandwidth,
         )?;
         let proportional = control_bandwidth / motor.a2;
-        positive("control.ladrc.control_bandwidth / a2", proportional)?;
+        require(
+            proportional.is_normal(),
+            "control.control_bandwidth",
+            "must leave a current to ask for that is a number",
+            control_bandwidth,
+        )?;
         require(
             proportional * ranges.speed <= 1e12,
-            "control.ladrc.control_bandwidth",
+            "control.control_bandwidth",
             "must keep the current that the law can want below 1e12 A",
             control_bandwidth,
         )?;
-        positive("control.ladrc.observer_bandwidth", observer_bandwidth)?;
+        positive("control.observer_bandwidth", observer_bandwidth)?;
         require(
             observer_bandwidth * period <= 0.5
                 && observer_bandwidth * lag(&speed, period, shaft.age) <= 0.6,
-            "control.ladrc.observer_bandwidth",
+            "control.observer_bandwidth",
             "must be at most half the sampling rate and 0.6/(the speed estimate's lag)",
             observer_bandwidth,
         )?;
@@ -163,7 +169,7 @@ impl<S: Scalar> Ladrc<S> {
             acceleration: S::ZERO,
             observer: ExtendedStateObserver::new(observer_bandwidth, period, bases)?,
             current_limit: S::from_f32(ranges.current_command, i),
-            proportional: S::steep("control.ladrc.control_bandwidth", [(-proportional, w)], i)?,
+            proportional: S::steep("control.control_bandwidth", [(-proportional, w)], i)?,
             per_torque: S::steep("motor", [(1.0 / motor.a2, a)], i)?,
             a1: S::gains("motor", [(motor.a1, w)], a)?,
             a2: S::gains("motor", [(motor.a2, i)], a)?,
@@ -383,18 +389,12 @@ mod tests {
     fn refusals_name_the_field() {
         let good = config(400.0, PLL);
         let cases = [
-            (LadrcConfig { current_bandwidth: 0.0, ..good }, "control.ladrc.current_bandwidth"),
-            (LadrcConfig { current_bandwidth: 2e4, ..good }, "control.ladrc.current_bandwidth"),
-            (
-                LadrcConfig { control_bandwidth: f32::NAN, ..good },
-                "control.ladrc.control_bandwidth",
-            ),
-            (LadrcConfig { control_bandwidth: 4100.0, ..good }, "control.ladrc.control_bandwidth"),
-            (LadrcConfig { observer_bandwidth: 0.0, ..good }, "control.ladrc.observer_bandwidth"),
-            (
-                LadrcConfig { observer_bandwidth: 2500.0, ..good },
-                "control.ladrc.observer_bandwidth",
-            ),
+            (LadrcConfig { current_bandwidth: 0.0, ..good }, "control.current_bandwidth"),
+            (LadrcConfig { current_bandwidth: 2e4, ..good }, "control.current_bandwidth"),
+            (LadrcConfig { control_bandwidth: f32::NAN, ..good }, "control.control_bandwidth"),
+            (LadrcConfig { control_bandwidth: 4100.0, ..good }, "control.control_bandwidth"),
+            (LadrcConfig { observer_bandwidth: 0.0, ..good }, "control.observer_bandwidth"),
+            (LadrcConfig { observer_bandwidth: 2500.0, ..good }, "control.observer_bandwidth"),
             (
                 LadrcConfig { speed: SpeedSource::Difference { bandwidth: 0.0 }, ..good },
                 "control.speed.bandwidth",

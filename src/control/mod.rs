@@ -17,16 +17,16 @@ use crate::config::{ConfigError, require};
 use crate::math::Scalar;
 use crate::motor::Coefficients;
 use crate::per_unit::Bases;
+use crate::schema::{choice, group};
 use crate::sense::{Measured, Shaft};
 use crate::trajectory::Reference;
 use drive_form::DriveForm;
 use ladrc::Ladrc;
 use paper::Paper;
 use pi::CascadedPi;
-use serde::{Deserialize, Serialize};
 
 /// When the loop samples and when its voltage takes effect.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Timing {
     /// Sampling rate, which is the PWM rate (Hz). From 100 to 10 million.
     pub rate: f32,
@@ -34,6 +34,8 @@ pub struct Timing {
     /// once, as in a textbook.
     pub delay: bool,
 }
+
+group! { Timing { rate, delay } }
 
 impl Timing {
     /// The sampling period h (s).
@@ -84,7 +86,7 @@ pub(crate) struct Setting<'a> {
 }
 
 /// Which controller runs, with its gains.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ControlConfig {
     /// The paper's form of BS, BS-QSMDO or BS-QISMC.
     Paper(paper::PaperConfig),
@@ -95,6 +97,8 @@ pub enum ControlConfig {
     /// Linear active disturbance rejection control.
     Ladrc(ladrc::LadrcConfig),
 }
+
+choice! { ControlConfig { Paper(paper), Drive(drive), Pi(pi), Ladrc(ladrc) } }
 
 /// What a control step saw and decided.
 #[derive(Clone, Copy, Debug, PartialEq)]

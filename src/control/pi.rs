@@ -30,12 +30,12 @@ use crate::config::{ConfigError, positive, require};
 use crate::estimate::{SpeedEstimator, SpeedSource};
 use crate::math::{Scalar, exp_m1};
 use crate::per_unit::Bases;
+use crate::schema::group;
 use crate::sense::Measured;
 use crate::trajectory::Reference;
-use serde::{Deserialize, Serialize};
 
 /// What cascaded PI controllers are built from.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PiConfig {
     /// Bandwidth wc of the current loop (rad/s). Positive, and at most 0.75/TΣ, where TΣ is 1.5 periods, or half a
     /// period if the voltage takes effect at once.
@@ -51,6 +51,8 @@ pub struct PiConfig {
     /// Where the speed comes from.
     pub speed: SpeedSource,
 }
+
+group! { PiConfig { current_bandwidth, speed_bandwidth, speed_damping, disturbance, speed } }
 
 impl PiConfig {
     /// The current loop by the magnitude optimum, the speed loop by the symmetrical optimum of the standard factor 2.
@@ -119,39 +121,44 @@ impl<S: Scalar> CascadedPi<S> {
             config;
         let &Setting { motor, timing, shaft, ranges, bases } = setting;
         let period = timing.period();
-        let current = CurrentLoop::new("control.pi.current_bandwidth", current_bandwidth, setting)?;
+        let current = CurrentLoop::new("control.current_bandwidth", current_bandwidth, setting)?;
         let estimator = SpeedEstimator::new(&speed, shaft, bases)?;
         let estimate_lag = lag(&speed, period, shaft.age);
         let lag = 1.0 / current_bandwidth + estimate_lag;
         require(
             (0.5..=5.0).contains(&speed_damping),
-            "control.pi.speed_damping",
+            "control.speed_damping",
             "must be from 0.5 to 5",
             speed_damping,
         )?;
-        positive("control.pi.speed_bandwidth", speed_bandwidth)?;
+        positive("control.speed_bandwidth", speed_bandwidth)?;
         require(
             speed_bandwidth * lag <= 0.5 && 2.0 * speed_damping * speed_bandwidth * lag <= 0.8,
-            "control.pi.speed_bandwidth",
+            "control.speed_bandwidth",
             "must be slower than the current loop and the speed estimate: at most 0.5, and 0.4/damping, of 1/(their lag)",
             speed_bandwidth,
         )?;
         let proportional = 2.0 * speed_damping * speed_bandwidth / motor.a2;
         let integration = speed_bandwidth * speed_bandwidth * period / motor.a2;
-        positive("control.pi.speed_bandwidth² / rate / a2", integration)?;
+        require(
+            integration.is_normal(),
+            "control.speed_bandwidth",
+            "must leave a current to integrate that is a number",
+            speed_bandwidth,
+        )?;
         require(
             proportional * ranges.speed <= 1e12,
-            "control.pi.speed_bandwidth",
+            "control.speed_bandwidth",
             "must keep the current that the law can want below 1e12 A",
             speed_bandwidth,
         )?;
         let observer = match disturbance {
             None => None,
             Some(bandwidth) => {
-                positive("control.pi.disturbance", bandwidth)?;
+                positive("control.disturbance", bandwidth)?;
                 require(
                     bandwidth * period <= 0.5 && bandwidth * estimate_lag <= 0.6,
-                    "control.pi.disturbance",
+                    "control.disturbance",
                     "must be at most half the sampling rate and 0.6/(the speed estimate's lag)",
                     bandwidth,
                 )?;
@@ -159,7 +166,7 @@ impl<S: Scalar> CascadedPi<S> {
             }
         };
         let &Bases { speed: w, acceleration: a, current: i, .. } = bases;
-        let field = "control.pi.speed_bandwidth";
+        let field = "control.speed_bandwidth";
         Ok(Self {
             estimator,
             acceleration: S::ZERO,
@@ -271,7 +278,7 @@ impl<S: Scalar> DisturbanceObserver<S> {
             disturbance: S::ZERO,
             before: None,
             moved: S::gains("timing.rate", moved, speed)?,
-            gain: S::steep("control.pi.disturbance", [(gain, speed)], acceleration)?,
+            gain: S::steep("control.disturbance", [(gain, speed)], acceleration)?,
         })
     }
 
@@ -801,16 +808,16 @@ mod tests {
     fn refusals_name_the_field() {
         let book = book(PLL);
         let cases = [
-            (PiConfig { current_bandwidth: 0.0, ..book }, "control.pi.current_bandwidth"),
-            (PiConfig { current_bandwidth: 10_100.0, ..book }, "control.pi.current_bandwidth"),
-            (PiConfig { current_bandwidth: f32::NAN, ..book }, "control.pi.current_bandwidth"),
-            (PiConfig { speed_bandwidth: -1.0, ..book }, "control.pi.speed_bandwidth"),
-            (PiConfig { speed_bandwidth: 900.0, ..book }, "control.pi.speed_bandwidth"),
-            (PiConfig { current_bandwidth: 500.0, ..book }, "control.pi.speed_bandwidth"),
-            (PiConfig { speed_damping: 0.4, ..book }, "control.pi.speed_damping"),
-            (PiConfig { speed_damping: f32::INFINITY, ..book }, "control.pi.speed_damping"),
-            (PiConfig { disturbance: Some(0.0), ..book }, "control.pi.disturbance"),
-            (PiConfig { disturbance: Some(1300.0), ..book }, "control.pi.disturbance"),
+            (PiConfig { current_bandwidth: 0.0, ..book }, "control.current_bandwidth"),
+            (PiConfig { current_bandwidth: 10_100.0, ..book }, "control.current_bandwidth"),
+            (PiConfig { current_bandwidth: f32::NAN, ..book }, "control.current_bandwidth"),
+            (PiConfig { speed_bandwidth: -1.0, ..book }, "control.speed_bandwidth"),
+            (PiConfig { speed_bandwidth: 900.0, ..book }, "control.speed_bandwidth"),
+            (PiConfig { current_bandwidth: 500.0, ..book }, "control.speed_bandwidth"),
+            (PiConfig { speed_damping: 0.4, ..book }, "control.speed_damping"),
+            (PiConfig { speed_damping: f32::INFINITY, ..book }, "control.speed_damping"),
+            (PiConfig { disturbance: Some(0.0), ..book }, "control.disturbance"),
+            (PiConfig { disturbance: Some(1300.0), ..book }, "control.disturbance"),
             (
                 PiConfig { speed: SpeedSource::Pll { bandwidth: f32::NAN, fed: false }, ..book },
                 "control.speed.bandwidth",

@@ -7,7 +7,7 @@ use crate::checksum::CRC_32;
 use serde::Serialize;
 
 /// Longest frame, in bytes, with its zeros.
-pub const LONGEST: usize = 256;
+pub const LONGEST: usize = 192;
 
 /// Bytes of the CRC.
 const CRC_LENGTH: usize = 4;

@@ -4,43 +4,52 @@
 //! of what is there needs another [`VERSION`].
 
 use crate::config::ConfigError;
-use crate::control::ControlConfig;
 use crate::fault::{ActiveLimits, Faults};
-use crate::parameters::Parameters;
+use crate::schema::{SetError, Value};
 use crate::supervisor::{self, Command, Mode};
 use core::fmt;
 use serde::{Deserialize, Serialize};
 
 /// Version of the messages: host and drive must have the same. Every version has [`Request::Identify`] and its answer.
-pub const VERSION: u16 = 1;
+pub const VERSION: u16 = 2;
 
 /// A request with its number.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Numbered {
+pub struct Numbered<'a> {
     /// Chosen by the host; its answer has the same. Consecutive numbers tell a late answer from a wanted one.
     pub sequence: u16,
     /// What was asked.
-    pub request: Request,
+    #[serde(borrow)]
+    pub request: Request<'a>,
 }
 
 /// What a host asks. Each request has exactly one answer, and each counts as a sign of life for
 /// [`Protection::command_timeout`](crate::supervisor::Protection::command_timeout).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub enum Request {
-    /// Who are you? Answered by [`Answer::Identity`].
+pub enum Request<'a> {
+    /// Who are you? Answered by [`Answer::Identity`]. Forgets what is staged: the first request of a new host.
     Identify,
     /// What are you doing? Answered by [`Answer::Status`].
     Status,
     /// A command; [`Command::KeepAlive`] if there is nothing else to ask.
     Command(Command),
-    /// Run another controller, or the same with other gains; at any time.
-    ChangeController(ControlConfig),
     /// Send [`Telemetry`] once in so many periods; zero: never. As from start.
     SetTelemetry(u32),
-    /// Answered by [`Answer::Parameters`].
-    ReadParameters,
-    /// Go on with these parameters. With outputs off only.
-    WriteParameters(Parameters),
+    /// Which parameter in force has so many others ahead of it? Answered by [`Answer::Parameter`], or by
+    /// [`Refusal::NoParameter`] behind the last one.
+    ReadParameter(u16),
+    /// Stage a value: beside those in force and those staged before, for [`ApplyParameters`](Self::ApplyParameters). What a name holds comes after
+    /// it. If this is refused, nothing stays staged.
+    StageParameter {
+        /// Its name.
+        name: &'a str,
+        /// What it is to be.
+        #[serde(borrow)]
+        value: Value<'a>,
+    },
+    /// Go on with what is staged, all of it or none; nothing stays staged. With outputs off only, but for another controller or
+    /// other gains, `control` and all under it, at any time.
+    ApplyParameters,
     /// Keep the parameters that are in force when the power is off. With outputs off only.
     SaveParameters,
 }
@@ -58,8 +67,14 @@ pub enum Answer<'a> {
     Refused(Refusal<'a>),
     /// What it is doing.
     Status(Status),
-    /// The parameters in force.
-    Parameters(Parameters),
+    /// A parameter in force.
+    Parameter {
+        /// Its name.
+        name: &'a str,
+        /// What it is.
+        #[serde(borrow)]
+        value: Value<'a>,
+    },
 }
 
 /// What a drive sends.
@@ -118,6 +133,8 @@ pub struct Telemetry {
     pub bus_voltage: f32,
     /// Estimated load torque (N·m), positive when it opposes positive motion.
     pub load_torque: f32,
+    /// Temperature of the board (°C).
+    pub temperature: f32,
     /// Time that the last control interrupt took (ns).
     pub interrupt_time: u32,
     /// Longest time that a control interrupt took since the start (ns).
@@ -142,6 +159,12 @@ pub enum Refusal<'a> {
         /// What it was, in the field's SI unit.
         value: f32,
     },
+    /// There is no such parameter, or not with the values that others have.
+    NoParameter,
+    /// The parameter cannot have this value.
+    UnfitValue,
+    /// Nothing is staged.
+    NothingStaged,
     /// The one before has not been carried out yet.
     Busy,
     /// The flash did not take the parameters. Those that were saved before are still there.
@@ -151,6 +174,15 @@ pub enum Refusal<'a> {
 impl From<ConfigError> for Refusal<'static> {
     fn from(ConfigError { field, rule, value }: ConfigError) -> Self {
         Self::Config { field, rule, value }
+    }
+}
+
+impl From<SetError> for Refusal<'static> {
+    fn from(error: SetError) -> Self {
+        match error {
+            SetError::Unknown => Self::NoParameter,
+            SetError::Unfit => Self::UnfitValue,
+        }
     }
 }
 
@@ -170,6 +202,11 @@ impl fmt::Display for Refusal<'_> {
             Self::Mode(mode) => write!(f, "not while the drive is in mode {mode:?}"),
             Self::SpeedOutOfRange => f.write_str("the speed is beyond limits.speed"),
             Self::Config { field, rule, value } => write!(f, "{field} {rule}, but is {value:?}"),
+            Self::NoParameter => {
+                f.write_str("there is no such parameter, or not with the others as they are")
+            }
+            Self::UnfitValue => f.write_str("the parameter cannot have this value"),
+            Self::NothingStaged => f.write_str("no parameters were staged"),
             Self::Busy => f.write_str("the drive is still busy with the request before"),
             Self::NotSaved => f.write_str(
                 "the flash did not take the parameters; those saved before are still there",

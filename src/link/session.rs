@@ -4,6 +4,7 @@ use super::frame::{Decoder, LONGEST, encode};
 use super::message::{Answer, Identity, Message, Refusal, Request, Status, Telemetry};
 use crate::control::ControlConfig;
 use crate::parameters::Parameters;
+use crate::schema::{self, Path, Value};
 use crate::supervisor::{Command, Mode};
 
 /// What a session needs of the drive that it speaks for.
@@ -19,7 +20,7 @@ pub trait Device {
     fn status(&self) -> Status;
 
     /// The parameters in force.
-    fn parameters(&self) -> Parameters;
+    fn parameters(&self) -> &Parameters;
 
     /// Gives the supervisor a command.
     fn command(&mut self, command: Command) -> Result<(), Refusal<'static>>;
@@ -28,7 +29,7 @@ pub trait Device {
     fn change_controller(&mut self, control: &ControlConfig) -> Result<(), Refusal<'static>>;
 
     /// Goes on with other parameters. Outputs are off.
-    fn write_parameters(&mut self, parameters: &Parameters) -> Result<(), Refusal<'static>>;
+    fn change_parameters(&mut self, parameters: &Parameters) -> Result<(), Refusal<'static>>;
 
     /// Saves the parameters in force. Outputs are off.
     fn save_parameters(&mut self) -> Result<(), Refusal<'static>>;
@@ -48,7 +49,16 @@ pub trait Device {
 #[derive(Clone, Debug, Default)]
 pub struct Session {
     decoder: Decoder,
+    staged: Option<Staged>,
     frame: Frame,
+}
+
+/// Parameters that are to be applied together.
+#[derive(Clone, Debug)]
+struct Staged {
+    parameters: Parameters,
+    /// Whether they differ from those in force in more than the controller.
+    beyond_control: bool,
 }
 
 /// A frame to be sent.
@@ -67,10 +77,12 @@ impl Session {
         let message = self.decoder.feed(byte)?;
         // Number and request apart, as in `Numbered`: a request that is not understood has an answer too.
         let (sequence, request) = postcard::take_from_bytes::<u16>(message).ok()?;
+        let mut name = Path::new();
         let answer = match postcard::take_from_bytes(request) {
-            Ok((request, [])) => answer(&request, device),
-            _ => Answer::Refused(Refusal::NotUnderstood),
+            Ok((request, [])) => answer(&request, device, &mut self.staged, &mut name),
+            _ => Err(Refusal::NotUnderstood),
         };
+        let answer = answer.unwrap_or_else(Answer::Refused);
         encode(&Message::Answer { sequence, answer }, &mut self.frame.0)
     }
 
@@ -81,38 +93,70 @@ impl Session {
     }
 }
 
-fn answer(request: &Request, device: &mut impl Device) -> Answer<'static> {
+/// The answer to a request, which may borrow a parameter's name.
+fn answer<'n>(
+    request: &Request,
+    device: &mut impl Device,
+    staged: &mut Option<Staged>,
+    name_of: &'n mut Path,
+) -> Result<Answer<'n>, Refusal<'static>> {
     // Refused only by a device that cannot take commands at all, whose drive then stops as it should.
     let _ = device.command(Command::KeepAlive);
-    let done = match request {
-        Request::Identify => return Answer::Identity(device.identity()),
-        Request::Status => return Answer::Status(device.status()),
-        Request::ReadParameters => return Answer::Parameters(device.parameters()),
-        Request::Command(Command::KeepAlive) => Ok(()),
-        Request::Command(command) => device.command(*command),
-        Request::ChangeController(control) => device.change_controller(control),
-        Request::SetTelemetry(decimation) => {
-            device.set_telemetry(*decimation);
-            Ok(())
+    match *request {
+        Request::Identify => {
+            *staged = None;
+            return Ok(Answer::Identity(device.identity()));
         }
-        Request::WriteParameters(parameters) => {
-            with_outputs_off(device, |device| device.write_parameters(parameters))
+        Request::Status => return Ok(Answer::Status(device.status())),
+        Request::ReadParameter(index) => {
+            let found = schema::nth(&mut { *device.parameters() }, index.into());
+            let (name, value) = found.ok_or(Refusal::NoParameter)?;
+            *name_of = name;
+            return Ok(Answer::Parameter { name: name_of, value });
         }
-        Request::SaveParameters => with_outputs_off(device, Device::save_parameters),
-    };
-    match done {
-        Ok(()) => Answer::Done,
-        Err(refusal) => Answer::Refused(refusal),
+        Request::Command(Command::KeepAlive) => {}
+        Request::Command(command) => device.command(command)?,
+        Request::SetTelemetry(decimation) => device.set_telemetry(decimation),
+        Request::StageParameter { name, value } => {
+            let before = staged.take();
+            *staged = Some(stage(before, name, value, device)?);
+        }
+        Request::ApplyParameters => {
+            let Staged { parameters, beyond_control } =
+                staged.take().ok_or(Refusal::NothingStaged)?;
+            if beyond_control {
+                check_off(device)?;
+                device.change_parameters(&parameters)?;
+            } else {
+                device.change_controller(&parameters.drive.control)?;
+            }
+        }
+        Request::SaveParameters => {
+            check_off(device)?;
+            device.save_parameters()?;
+        }
     }
+    Ok(Answer::Done)
 }
 
-/// Does what would disturb a motor that turns, or refuses to.
-fn with_outputs_off<D: Device>(
-    device: &mut D,
-    act: impl FnOnce(&mut D) -> Result<(), Refusal<'static>>,
-) -> Result<(), Refusal<'static>> {
+/// What is staged, and another value with it.
+fn stage(
+    before: Option<Staged>,
+    name: &str,
+    value: Value,
+    device: &impl Device,
+) -> Result<Staged, Refusal<'static>> {
+    let in_force = || Staged { parameters: *device.parameters(), beyond_control: false };
+    let mut staged = before.unwrap_or_else(in_force);
+    schema::set(&mut staged.parameters, name, value)?;
+    staged.beyond_control |= !name.starts_with("control");
+    Ok(staged)
+}
+
+/// Refuses what would disturb a motor that turns.
+fn check_off(device: &impl Device) -> Result<(), Refusal<'static>> {
     match device.status().mode {
-        Mode::Ready | Mode::Faulted => act(device),
+        Mode::Ready | Mode::Faulted => Ok(()),
         mode => Err(Refusal::Mode(mode)),
     }
 }

@@ -13,18 +13,17 @@
 //! Units and ranges stand at the fields of these types, which are the same that a scenario is played with. A set is checked as a
 //! whole, by building a [`Supervisor`](crate::supervisor::Supervisor) from it: rules tie fields together.
 //!
-//! [`named`] turns a set into named values and back, [`store`] keeps it in flash.
+//! Names and values are by [`schema`](crate::schema). [`records`] turns a set into bytes and back, [`store`] keeps it in flash.
 
-pub mod named;
+pub mod records;
 pub mod store;
 
 use crate::drive::DriveConfig;
+use crate::schema::{Group, Visitor};
 use crate::supervisor::Protection;
-use named::{Error, Sink, Source};
-use serde::{Deserialize, Serialize};
 
 /// A set of parameters.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Parameters {
     /// What the drive is built from.
     pub drive: DriveConfig,
@@ -32,16 +31,10 @@ pub struct Parameters {
     pub protection: Protection,
 }
 
-impl Parameters {
-    /// Tells `sink` every parameter by its name.
-    pub fn write(&self, sink: &mut Sink) -> Result<(), Error> {
+impl Group for Parameters {
+    fn fields(&mut self, visitor: &mut Visitor) {
         let Self { drive, protection } = self;
-        named::write("", drive, sink)?;
-        named::write("protection", protection, sink)
-    }
-
-    /// Reads a set from named values.
-    pub fn read(source: &Source) -> Result<Self, Error> {
-        Ok(Self { drive: named::read("", source)?, protection: named::read("protection", source)? })
+        drive.fields(visitor);
+        visitor("protection", protection);
     }
 }

@@ -162,7 +162,7 @@ impl Control {
 
         let period = PERIODS.load(Ordering::Relaxed).wrapping_add(1);
         PERIODS.store(period, Ordering::Relaxed);
-        self.tell(period, output);
+        self.tell(period, output, temperature);
         let [last, longest] = &mut self.cycles;
         *last = DWT::cycle_count().wrapping_sub(start);
         *longest = (*longest).max(*last);
@@ -197,7 +197,7 @@ impl Control {
 
     /// Tells tasks what there is to tell.
     #[inline]
-    fn tell(&mut self, period: u32, output: Output<f32>) {
+    fn tell(&mut self, period: u32, output: Output<f32>, temperature: f32) {
         let status = status_of(&self.supervisor);
         if status != self.status && STATUS.put(status) {
             self.status = status;
@@ -206,13 +206,13 @@ impl Control {
         let decimation = DECIMATION.load(Ordering::Relaxed);
         if decimation > 0 && self.since_telemetry >= decimation {
             self.since_telemetry = 0;
-            self.tell_period(period, output);
+            self.tell_period(period, output, temperature);
         }
     }
 
     #[cold]
     #[inline(never)]
-    fn tell_period(&mut self, period: u32, output: Output<f32>) {
+    fn tell_period(&mut self, period: u32, output: Output<f32>, temperature: f32) {
         let drive = self.supervisor.drive();
         let [current, bus_voltage] = drive.current_and_bus();
         let [reference, voltage, load_torque] = match (drive.telemetry(), output) {
@@ -230,6 +230,7 @@ impl Control {
             voltage,
             bus_voltage,
             load_torque,
+            temperature,
             interrupt_time,
             longest_interrupt_time,
         });

@@ -123,8 +123,8 @@ impl Device for Link {
         self.status
     }
 
-    fn parameters(&self) -> Parameters {
-        self.parameters
+    fn parameters(&self) -> &Parameters {
+        &self.parameters
     }
 
     fn command(&mut self, command: Command) -> Result<(), Refusal<'static>> {
@@ -140,7 +140,7 @@ impl Device for Link {
         Ok(())
     }
 
-    fn write_parameters(&mut self, parameters: &Parameters) -> Result<(), Refusal<'static>> {
+    fn change_parameters(&mut self, parameters: &Parameters) -> Result<(), Refusal<'static>> {
         let supervisor: Supervisor<f32> = build(parameters)?;
         change(Change::Supervisor(supervisor))?;
         self.parameters = *parameters;

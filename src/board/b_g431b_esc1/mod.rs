@@ -79,7 +79,7 @@ pub fn start() -> Board {
     embassy_stm32::interrupt::TIM1_BRK_TIM15.set_priority(Priority::P8);
 
     let (mut link, bad_parameters) = Link::load(p.FLASH);
-    let supervisor = build(&link.parameters());
+    let supervisor = build(link.parameters());
     let is_running = match (bridge, supervisor) {
         (Some(bridge), Ok(mut supervisor)) if is_converting => {
             for fault in [watchdog_reset, bad_parameters].into_iter().flatten() {

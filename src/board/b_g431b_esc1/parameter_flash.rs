@@ -13,7 +13,7 @@ use embassy_stm32::flash::{Blocking, Error, Flash};
 use embedded_storage::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
 
 /// Offsets of the pages from the beginning of the flash.
-pub const REGION: Range<u32> = 0x1_e000..0x2_0000;
+pub const REGION: Range<u32> = 0x1_f000..0x2_0000;
 
 /// Whether parameters are being read.
 static IS_READING: AtomicBool = AtomicBool::new(false);

@@ -6,6 +6,7 @@
 
 use super::{bridge, parameter_flash};
 use core::panic::PanicInfo;
+use cortex_m::peripheral::DCB;
 use cortex_m_rt::{ExceptionFrame, exception};
 use embassy_stm32::pac::iwdg::vals::Key;
 use embassy_stm32::pac::{DBGMCU, FLASH, IWDG, RCC};
@@ -72,11 +73,13 @@ unsafe fn DefaultHandler(number: i16) -> ! {
     wait_for_watchdog()
 }
 
+/// What panicked is not told: the texts and places of all panics would be a tenth of the image. A debugger halts here and shows the way.
 #[panic_handler]
-fn panic(info: &PanicInfo) -> ! {
+fn panic(_: &PanicInfo) -> ! {
     bridge::off();
-    if let Some(place) = info.location() {
-        defmt::error!("panic in {=str}, line {=u32}", place.file(), place.line());
+    defmt::error!("panic");
+    if DCB::is_debugger_attached() {
+        cortex_m::asm::bkpt();
     }
     wait_for_watchdog()
 }

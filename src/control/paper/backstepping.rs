@@ -57,7 +57,7 @@ impl<S: Scalar> Backstepping<S> {
         let disturbance = volts * a1;
         let lumped = -volts * k2;
         let z2_range = z2_range(ranges, motor, gains);
-        require(z2_range <= 1e12, "gains.c", "must keep z2 within 1e12 rad/s²", c)?;
+        require(z2_range <= 1e12, "control.gains.c", "must keep z2 within 1e12 rad/s²", c)?;
         let largest_voltage = speed.abs() * ranges.speed
             + current * ranges.current
             + z1.abs() * speed_error_range(ranges)
@@ -66,12 +66,12 @@ impl<S: Scalar> Backstepping<S> {
             + lumped.abs();
         require(
             largest_voltage <= 1e15,
-            "gains",
+            "control.gains",
             "must keep the voltage that the law can ask for below 1e15 V",
             largest_voltage,
         )?;
         let &Bases { speed: w, acceleration: a, jerk: j, current: i, voltage: v, .. } = bases;
-        let field = "gains.c";
+        let field = "control.gains.c";
         // What fixed point can hold of z2.
         S::constant(field, z2_range, a)?;
         Ok(Self {
@@ -81,7 +81,7 @@ impl<S: Scalar> Backstepping<S> {
             held: S::gains("motor", [(speed, w), (current, i)], v)?,
             errors: S::gains(field, [(z1, w), (z2, a)], v)?,
             feed: S::steep("motor", [(volts, j), (disturbance, a)], v)?,
-            lumped: S::gains("gains.k2", [(lumped, Base::RATIO)], v)?,
+            lumped: S::gains("control.gains.k2", [(lumped, Base::RATIO)], v)?,
         })
     }
 

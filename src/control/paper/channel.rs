@@ -3,10 +3,10 @@
 use crate::config::{ConfigError, require};
 use crate::control::injection::{Injection, MAX_BETA};
 use crate::math::{Base, Scalar, atanh};
-use serde::{Deserialize, Serialize};
+use crate::schema::choice;
 
 /// How a channel's differential equation is stepped at the PWM rate.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Form {
     /// The injection closed implicitly over the step, the model integrated by the trapezoidal rule. The channel by
     /// itself is stable at every rate.
@@ -17,8 +17,10 @@ pub enum Form {
     Explicit,
 }
 
+choice! { Form { Implicit, Explicit } }
+
 /// Where an estimator's memory starts.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Start {
     /// On the sliding surface: the first mismatch is zero (the paper's QISMC, and "x̃1(0) = 0" below its Eq. 36).
     #[default]
@@ -26,6 +28,8 @@ pub enum Start {
     /// With an observer state of zero, whatever the signal is (the paper's QSMDO in its simulation).
     Zero,
 }
+
+choice! { Start { Matched, Zero } }
 
 /// What a [`Channel`] is built from; all in the unit of the watched signal and seconds.
 #[derive(Clone, Copy)]
@@ -104,7 +108,7 @@ impl<S: Scalar, const SHIFT: u32> Channel<S, SHIFT> {
         };
         require(
             config.form == Form::Implicit || S::ANY_TIME,
-            "form",
+            "control.form",
             "must be implicit in fixed point",
             0.0,
         )?;

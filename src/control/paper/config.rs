@@ -5,10 +5,10 @@ use super::channel::{Form, Start};
 use crate::config::{ConfigError, positive};
 use crate::estimate::SpeedSource;
 use crate::motor::Coefficients;
-use serde::{Deserialize, Serialize};
+use crate::schema::{choice, group};
 
 /// The paper's design parameters.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Gains {
     /// Convergence rate c of both backstepping errors (1/s). Positive, and at most 0.4 of the rate at which the loop
     /// can answer, 1/[`Timing::horizon`](crate::control::Timing::horizon): the law is a continuous one, and sampled more slowly it rings (tests play up
@@ -26,23 +26,25 @@ pub struct Gains {
     pub epsilon2: f32,
 }
 
+group! { Gains { c, k1, epsilon1, k2, epsilon2 } }
+
 impl Gains {
     /// The gains of the paper's simulation.
     pub const PAPER: Self =
         Self { c: 200.0, k1: 1300.0, epsilon1: 0.05, k2: 755_000.0, epsilon2: 5.0 };
 
     pub(super) fn check(&self) -> Result<(), ConfigError> {
-        positive("gains.c", self.c)?;
-        positive("gains.k1", self.k1)?;
-        positive("gains.epsilon1", self.epsilon1)?;
-        positive("gains.k2", self.k2)?;
-        positive("gains.epsilon2", self.epsilon2)?;
+        positive("control.gains.c", self.c)?;
+        positive("control.gains.k1", self.k1)?;
+        positive("control.gains.epsilon1", self.epsilon1)?;
+        positive("control.gains.k2", self.k2)?;
+        positive("control.gains.epsilon2", self.epsilon2)?;
         Ok(())
     }
 }
 
 /// A speed control law.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Law {
     /// Plain backstepping (section 3.1).
     Backstepping,
@@ -53,8 +55,10 @@ pub enum Law {
     Qismc,
 }
 
+choice! { Law { Backstepping, Qsmdo, Qismc } }
+
 /// Which law runs and how.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PaperConfig {
     /// The law.
     pub law: Law,
@@ -67,6 +71,8 @@ pub struct PaperConfig {
     /// Where the speed comes from.
     pub speed: SpeedSource,
 }
+
+group! { PaperConfig { law, gains, form, start, speed } }
 
 /// z1 (rad/s) at most: from one end of the range of speeds to the other.
 pub(super) fn speed_error_range(ranges: &Ranges) -> f32 {

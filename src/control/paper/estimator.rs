@@ -54,7 +54,7 @@ impl<S: Scalar> Estimator<S> {
         let first = ChannelConfig {
             strength: gains.k1,
             layer: gains.epsilon1,
-            layer_field: "gains.epsilon1",
+            layer_field: "control.gains.epsilon1",
             period,
             horizon: period,
             form: config.form,
@@ -65,7 +65,7 @@ impl<S: Scalar> Estimator<S> {
         let second = ChannelConfig {
             strength: gains.k2,
             layer: gains.epsilon2,
-            layer_field: "gains.epsilon2",
+            layer_field: "control.gains.epsilon2",
             horizon: timing.horizon(),
             range: z2_range,
             base: acceleration,
@@ -73,7 +73,7 @@ impl<S: Scalar> Estimator<S> {
         };
         Ok(Self {
             integral,
-            k1: S::gains("gains.k1", [(gains.k1, Base::RATIO)], acceleration)?,
+            k1: S::gains("control.gains.k1", [(gains.k1, Base::RATIO)], acceleration)?,
             strength: gains.k1,
             acceleration,
             period: S::time(period),

@@ -39,7 +39,7 @@ impl<S: Scalar> Paper<S> {
         gains.check()?;
         require(
             gains.c * timing.horizon() <= 0.4 * (1.0 + f32::EPSILON),
-            "gains.c",
+            "control.gains.c",
             "must be at most 0.4 of 1/horizon, the horizon being a period, or two with the delay",
             gains.c,
         )?;
