@@ -1,0 +1,395 @@
+//! The board: core, microcontroller and world, played in time.
+
+use crate::chip::flash::Cells;
+use crate::chip::rcc::Reset;
+use crate::chip::usart::Line;
+use crate::chip::{Chip, Refused, Switched, Violation};
+use crate::cpu::{Bus, Cpu, Shared};
+use crate::image::Image;
+use crate::memory::Memory;
+use crate::statistics::Statistics;
+use crate::time::{NEVER, Tick, seconds, ticks};
+use crate::world::{Gates, World};
+use std::fmt;
+use std::sync::Arc;
+
+/// Rate at which the other end of the serial line sends (bit/s).
+pub const LINE_RATE: u32 = 921_600;
+
+/// Cycles that the core takes to enter or to leave an exception (Cortex-M4 TRM).
+const ENTRY: u64 = 12;
+
+/// Why the emulation stopped. It says nothing about the hardware: what the hardware does is played on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Stop {
+    /// What was refused.
+    pub refused: Refused,
+    /// Address of the instruction that did it, or that ran when a peripheral did.
+    pub pc: u32,
+    /// When.
+    pub time: Tick,
+}
+
+impl fmt::Display for Stop {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { refused, pc, time } = self;
+        write!(f, "{refused}, at {pc:#010x}, {:.6} s after power came", seconds(*time))
+    }
+}
+
+impl std::error::Error for Stop {}
+
+/// A reset that was.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ResetEvent {
+    /// When (s).
+    pub time: f64,
+    /// Why.
+    pub reset: Reset,
+}
+
+/// An emulated board with a world around it.
+pub struct VirtualBoard<W> {
+    shared: Arc<Shared<Chip<W>>>,
+    memory: Memory,
+    cpu: Cpu,
+    image: Image,
+    statistics: Statistics,
+    now: Tick,
+    /// When the microcontroller's blocks next do something by themselves.
+    next: Tick,
+    /// Ticks of a cycle of the core's clock; nothing while it stands still.
+    cycle: Option<Tick>,
+    is_powered: bool,
+    is_locked_up: bool,
+    /// Interrupts whose level is forced, and what to.
+    forced: [u64; 2],
+    instructions: u64,
+    resets: Vec<ResetEvent>,
+}
+
+impl<W: World + Send> Bus for Chip<W> {
+    fn read(&mut self, time: u64, address: u32, size: usize) -> u32 {
+        self.advance(time);
+        Chip::read(self, address, size)
+    }
+
+    fn write(&mut self, time: u64, address: u32, size: usize, value: u32) {
+        self.advance(time);
+        Chip::write(self, address, size, value);
+    }
+}
+
+impl<W: World + Send + 'static> VirtualBoard<W> {
+    /// A board with an image in its flash and nothing else, just powered.
+    pub fn new(image: &Image, world: W) -> Self {
+        let mut cells = Cells::new();
+        for (offset, bytes) in image.segments() {
+            cells.store(offset, bytes);
+        }
+        let memory = Memory::new();
+        let chip = Chip::new(memory.clone(), cells, Line::new(LINE_RATE), world);
+        let shared = Arc::new(Shared::new(chip));
+        let cpu = Cpu::new(&memory, &shared);
+        let mut board = Self {
+            shared,
+            memory,
+            cpu,
+            image: image.clone(),
+            statistics: Statistics::new(),
+            now: 0,
+            next: NEVER,
+            cycle: None,
+            is_powered: true,
+            is_locked_up: false,
+            forced: [0; 2],
+            instructions: 0,
+            resets: Vec::new(),
+        };
+        board.reset(Reset::Power);
+        board
+    }
+
+    // Time
+
+    /// Seconds since power first came.
+    pub fn time(&self) -> f64 {
+        seconds(self.now)
+    }
+
+    /// Plays on until so many seconds after power first came.
+    pub fn run_until(&mut self, time: f64) -> Result<(), Stop> {
+        let end = ticks(time);
+        while self.now < end {
+            if self.now >= self.next {
+                self.follow(end)?;
+                continue;
+            }
+            let Some(cycle) = self.cycle.filter(|_| self.is_powered && !self.is_locked_up) else {
+                self.now = self.next.min(end);
+                continue;
+            };
+            self.shared.set_time(self.now);
+            let cycles = self.step();
+            self.now += cycles * cycle;
+            if self.shared.take_touched() {
+                self.follow(end)?;
+            }
+            // A step of a sleeping core is one cycle; handlers do not sleep.
+            if cycles == 1 && !self.statistics.is_in_handler() && self.cpu.is_asleep() {
+                self.now = self.now.max(self.next.min(end));
+            }
+        }
+        self.follow(end)
+    }
+
+    /// An instruction, or the entry to an exception. Gives its cycles.
+    fn step(&mut self) -> u64 {
+        if self.statistics.profiled.is_some_and(|e| e == self.statistics.exception()) {
+            self.statistics.execute(self.cpu.pc());
+        }
+        let cycles = self.cpu.step();
+        self.instructions += 1;
+        self.statistics.step(cycles);
+        // To change exceptions takes long: from 7 cycles on, from one to the next.
+        if cycles < 7 {
+            return cycles;
+        }
+        let before = self.statistics.exception();
+        let exception = self.cpu.exception();
+        if exception == before {
+            return cycles;
+        }
+        self.statistics.follow(exception, |number| self.cpu.is_active(number));
+        // `rsemu` counts stacking twice.
+        cycles.min(ENTRY)
+    }
+
+    /// Plays what has happened beside the core, and looks at what follows for it.
+    fn follow(&mut self, end: Tick) -> Result<(), Stop> {
+        let shared = Arc::clone(&self.shared);
+        let mut chip = shared.bus();
+        if !self.is_powered {
+            self.next = NEVER;
+            return Ok(());
+        }
+        chip.advance(self.now);
+        if let Some(refused) = chip.refused() {
+            drop(chip);
+            return Err(Stop { refused, pc: self.last_pc(), time: self.now });
+        }
+        if self.now >= chip.watchdog() {
+            drop(chip);
+            self.reset(Reset::Watchdog);
+            return Ok(());
+        }
+        if self.cpu.asks_for_reset() {
+            drop(chip);
+            self.reset(Reset::Software);
+            return Ok(());
+        }
+        if !self.is_locked_up && self.cpu.is_locked_up() {
+            self.is_locked_up = true;
+            chip.lock_up();
+        }
+        self.cycle = chip.cycle();
+        if let (Some(until), Some(cycle)) = (chip.stalled_until(), self.cycle) {
+            // The core waits for the flash, but blocks go on.
+            let until = until.min(chip.watchdog()).min(end).max(self.now);
+            self.cpu.stall((until - self.now) / cycle);
+            self.now = until;
+            chip.advance(until);
+        }
+        let [high, low] = self.forced;
+        self.cpu.set_interrupts((chip.interrupts() | high) & !low);
+        self.cpu.set_nmi(chip.nmi());
+        self.next = chip.next_event();
+        Ok(())
+    }
+
+    /// Address of the last instruction.
+    fn last_pc(&self) -> u32 {
+        let next = self.cpu.pc();
+        let half = |address: u32| {
+            let offset = address.wrapping_sub(crate::chip::flash::BASE);
+            let mut bytes = [0; 2];
+            match self.memory.flash.read_at(offset.into(), &mut bytes) {
+                Ok(()) => u32::from(u16::from_le_bytes(bytes)),
+                Err(_) => self.memory.read(address, 2).unwrap_or(0),
+            }
+        };
+        // Instructions of 32 bits begin with 0b11101, 0b11110 or 0b11111.
+        let is_long = half(next.wrapping_sub(4)) >> 11 >= 0b11101;
+        next.wrapping_sub(if is_long { 4 } else { 2 })
+    }
+
+    // Power and reset
+
+    /// Resets the microcontroller now, as the pin or the core would.
+    pub fn reset(&mut self, reset: Reset) {
+        let shared = Arc::clone(&self.shared);
+        let mut chip = shared.bus();
+        chip.advance(self.now);
+        chip.reset(reset);
+        self.cpu.reset();
+        self.statistics.reset();
+        self.is_locked_up = false;
+        self.cycle = chip.cycle();
+        self.next = chip.next_event();
+        self.memory.paint(self.image.stack());
+        self.resets.push(ResetEvent { time: seconds(self.now), reset });
+    }
+
+    /// Power goes: what the flash is at stays half done, and the memories lose their contents.
+    pub fn power_cut(&mut self) {
+        self.reset(Reset::Power);
+        self.resets.pop();
+        self.is_powered = false;
+        self.memory.lose();
+    }
+
+    /// Power comes again.
+    pub fn power_up(&mut self) {
+        self.is_powered = true;
+        self.reset(Reset::Power);
+    }
+
+    /// All resets, from the first power-up on.
+    pub fn resets(&self) -> &[ResetEvent] {
+        &self.resets
+    }
+
+    // The world and the serial line
+
+    /// Looks at the world, or changes it.
+    pub fn world<R>(&mut self, act: impl FnOnce(&mut W) -> R) -> R {
+        act(&mut self.shared.bus().world)
+    }
+
+    /// Sends bytes to the board, one after the other from now on.
+    pub fn send(&mut self, bytes: &[u8]) {
+        let mut chip = self.shared.bus();
+        chip.line().send(bytes, self.now);
+        self.next = self.next.min(chip.next_event());
+    }
+
+    /// Bytes that the board has sent since the last call.
+    pub fn received(&mut self) -> Vec<u8> {
+        self.shared.bus().line().received()
+    }
+
+    // Outputs
+
+    /// What the gate drivers are told.
+    pub fn gates(&self) -> Gates {
+        self.shared.bus().gates()
+    }
+
+    /// Whether the bridge's timer has its main output enabled.
+    pub fn main_output(&self) -> bool {
+        self.shared.bus().main_output()
+    }
+
+    /// Since when no gate has been on (s); now, if one is.
+    pub fn off_since(&self) -> f64 {
+        seconds(self.shared.bus().last_active())
+    }
+
+    /// When the main output enable changed.
+    pub fn switched(&self) -> Vec<Switched> {
+        self.shared.bus().switched().to_vec()
+    }
+
+    // Counts
+
+    /// What interrupts cost.
+    pub fn statistics(&mut self) -> &mut Statistics {
+        &mut self.statistics
+    }
+
+    /// Instructions and entries to exceptions so far.
+    pub fn instructions(&self) -> u64 {
+        self.instructions
+    }
+
+    /// The most of the stack that was in use at once since the last reset (bytes).
+    pub fn stack_use(&self) -> usize {
+        let stack = self.image.stack();
+        stack.len() - self.memory.unused(stack)
+    }
+
+    /// What the firmware did that the data sheet forbids.
+    pub fn violations(&self) -> Vec<Violation> {
+        self.shared.bus().violations().to_vec()
+    }
+
+    /// Whether the core has locked up.
+    pub fn is_locked_up(&self) -> bool {
+        self.is_locked_up
+    }
+
+    /// The stack's pointer.
+    pub fn stack_pointer(&self) -> u32 {
+        self.cpu.sp()
+    }
+
+    /// The last address without memory that the core reached for, if it did.
+    pub fn fault_address(&self) -> Option<u32> {
+        self.cpu.fault_address()
+    }
+
+    /// Address of the next instruction, and the function that it is in.
+    pub fn place(&self) -> (u32, Option<&str>) {
+        let pc = self.cpu.pc();
+        (pc, self.image.function_at(pc).map(|function| &*function.name))
+    }
+
+    // The flash
+
+    /// What the flash holds.
+    pub fn flash(&self) -> Vec<u8> {
+        self.shared.bus().cells().bytes().to_vec()
+    }
+
+    /// Changes what the flash holds, as a programmer or age would.
+    pub fn change_flash(&mut self, change: impl FnOnce(&mut Cells)) {
+        self.shared.bus().change_cells(change);
+    }
+
+    // Faults to play
+
+    /// The crystal stops for good.
+    pub fn break_crystal(&mut self) {
+        let shared = Arc::clone(&self.shared);
+        let mut chip = shared.bus();
+        chip.advance(self.now);
+        chip.break_crystal();
+        self.next = self.now;
+    }
+
+    /// Holds an interrupt's level, or releases it.
+    pub fn force_interrupt(&mut self, number: u32, level: Option<bool>) {
+        let bit = 1 << number;
+        let [high, low] = &mut self.forced;
+        *high = *high & !bit | if level == Some(true) { bit } else { 0 };
+        *low = *low & !bit | if level == Some(false) { bit } else { 0 };
+        self.next = self.now;
+    }
+
+    /// Lets the core go on at a function, by a part of its name. Tells whether there is one.
+    pub fn jump_to(&mut self, function: &str) -> bool {
+        let address = self.image.function(function).map(|function| function.code.start);
+        address.inspect(|address| self.cpu.jump(*address)).is_some()
+    }
+
+    /// Lets the core go on at an address.
+    pub fn jump(&mut self, address: u32) {
+        self.cpu.jump(address);
+    }
+
+    /// Moves the stack's pointer to so many bytes above the stack's end: what is pushed next overflows it.
+    pub fn exhaust_stack(&mut self, left: u32) {
+        self.cpu.set_sp(self.image.stack().start + left);
+    }
+}
+
