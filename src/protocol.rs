@@ -82,7 +82,7 @@ impl Setup {
     /// Words of a setup.
     pub const WORDS: usize = 96;
 
-    /// As [records](crate::parameters::records), padded with zeros; nothing if they do not suffice.
+    /// As [records], padded with zeros; nothing if they do not suffice.
     pub fn to_words(&self) -> Option<[u32; Self::WORDS]> {
         let mut bytes = [0; 4 * Self::WORDS];
         records::write(&mut { self.0 }, &mut bytes)?;

@@ -1,6 +1,6 @@
 //! Configurations as trees of named values: the one list of what can be set, which links, flash and hosts share.
 //!
-//! Each type of a configuration lists its fields once, by [`group!`] or [`choice!`]. From that come dotted paths with a [`Value`]
+//! Each type of a configuration lists its fields once, by `group!` or `choice!`. From that come dotted paths with a [`Value`]
 //! each:
 //!
 //! ```text

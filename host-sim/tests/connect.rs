@@ -326,6 +326,33 @@ fn another_controller_takes_over_while_the_motor_turns() {
 }
 
 #[test]
+fn a_controller_is_tuned_for_the_drives_own_motor() {
+    let served = Served::start(&[]);
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let untuned = folder.path().join("untuned.toml");
+    let text = std::fs::read_to_string(scenario()).expect("shipped");
+    let text: Vec<&str> =
+        text.lines().filter(|line| !line.starts_with("bandwidth = 1170")).collect();
+    std::fs::write(&untuned, text.join("\n")).expect("written");
+    let tuned = |inertia: &str| {
+        let inertia = format!("motor.inertia={inertia}");
+        served.connect(&["parameters", "set", &inertia]).assert().success();
+        served.connect(&["controller", untuned.to_str().expect("text")]).assert().success();
+        let mut client = served.client();
+        let parameters = client.parameters().expect("listed");
+        let told = |name: &str| {
+            let (_, setting) = parameters.iter().find(|(path, _)| path == name).expect(name);
+            setting.to_string().parse::<f64>().expect("a number")
+        };
+        assert_eq!(format!("motor.inertia={:?}", told("motor.inertia")), inertia, "stays");
+        told("control.observer_bandwidth")
+    };
+    let (light, heavy) = (tuned("0.0001"), tuned("0.0016"));
+    // The ripple rises with the inertia and the fourth power of the bandwidth.
+    assert!((light / heavy - 2.0).abs() < 1e-3, "{light}, {heavy}");
+}
+
+#[test]
 fn what_is_no_drive_is_an_error() {
     let connect = |port: &str| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_host-sim"));

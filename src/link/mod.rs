@@ -15,8 +15,11 @@
 //! [`Protection::command_timeout`](crate::supervisor::Protection::command_timeout) is lost, and the drive stops: any request is a
 //! sign of life, [`Command::KeepAlive`](crate::supervisor::Command::KeepAlive) one that does nothing else. Garbage is none.
 //!
-//! `postcard-rpc` would give typed endpoints for this, but: its host brings an asynchronous runtime, its frames on a serial port have
-//! no CRC, and every type of the configuration would need its `Schema`. Eight requests are less than that.
+//! Parameters travel one by one, by name ([`schema`](crate::schema)): no message is long, and host and drive of different versions
+//! understand what both know. What is to change is staged and then applied, all of it or none.
+//!
+//! `postcard-rpc` would give typed endpoints for this, but: its host brings an asynchronous runtime, and its frames on a serial port have
+//! no CRC. Eight requests are less than that.
 
 pub mod frame;
 pub mod message;

@@ -12,8 +12,8 @@
 //! match was damaged, not interrupted, and that is told. What flash cannot read is no set, or not committed. Sets are read across
 //! versions of the firmware in both directions: see [`records`].
 //!
-//! A crate for flash could do the same (`sequential-storage`, one map for each slot, was here before), with wear levelling that no
-//! one needs who saves by hand; it took 7 kB more of the 64 that firmware may have.
+//! `sequential-storage` was here before, with a map for each slot: its wear levelling is nothing that sets saved by hand need, and
+//! with it the B-G431B-ESC1's image took 71.0 kB, and with this 62.7.
 //!
 //! Everything blocks: a microcontroller that erases the flash that it runs from stalls in any case. So save while disarmed only.
 

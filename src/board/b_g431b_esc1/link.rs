@@ -9,6 +9,7 @@ use super::{build, defaults, interrupt};
 use crate::control::ControlConfig;
 use crate::drive::{DriveConfig, ReadyController};
 use crate::fault::{Fault, Faults};
+use crate::link::frame::LONGEST;
 use crate::link::message::{Identity, Refusal, Status, Telemetry, VERSION};
 use crate::link::session::{Device, Session};
 use crate::link::{BAUD_RATE, BUILD};
@@ -75,7 +76,7 @@ impl Link {
 
     /// Serves the port for ever.
     pub async fn serve(mut self, Port { usart, rx, tx }: Port) {
-        let (mut sending, mut receiving) = ([0; 256], [0; 256]);
+        let (mut sending, mut receiving) = ([0; LONGEST], [0; LONGEST]);
         let mut config = usart::Config::default();
         config.baudrate = BAUD_RATE;
         config.eager_reads = Some(1);
