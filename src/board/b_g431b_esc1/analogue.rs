@@ -135,12 +135,14 @@ fn sequence(converter: Adc, channels: &[u8]) {
 /// This period's conversions, and no interrupt until the next ones.
 #[inline]
 pub fn read() -> Conversions {
-    for converter in [ADC1, ADC2] {
+    let clear = |converter: Adc| {
         converter.isr().write(|w| {
             w.set_jeoc(true);
             w.set_jeos(true);
         });
-    }
+    };
+    clear(ADC1);
+    clear(ADC2);
     let code = |converter: Adc, rank| converter.jdr(rank).read().jdata();
     Conversions {
         legs: [code(ADC1, 0), code(ADC2, 0)],
