@@ -289,15 +289,15 @@ impl<S: Scalar> Slow<S> {
 }
 
 impl<S: Scalar> Supervisor<S> {
+    #[inline(never)]
     /// Builds a drive and its supervisor. Refuses a configuration outside its range, naming the field.
     pub fn new(config: &DriveConfig, protection: &Protection) -> Result<Self, ConfigError> {
-        let drive = Drive::new(config)?;
-        let squares = drive.bases().current.squared();
-        let slow = Slow::new(protection, config, drive.bases())?;
+        let bases = Bases::new(config)?;
+        let squares = bases.current.squared();
+        let slow = Slow::new(protection, config, &bases)?;
         Ok(Self {
             mode: Mode::Boot,
             faults: Faults::NONE,
-            drive,
             output: Output::Off,
             mean_square: S::ZERO,
             per_turn: S::gains("protection", [(1.0 / PERIODS as f32, squares)], squares)?,
@@ -306,6 +306,8 @@ impl<S: Scalar> Supervisor<S> {
             turns: 0,
             is_lost: false,
             slow,
+            // Last, and so straight to its place: it is large.
+            drive: Drive::new(config)?,
         })
     }
 

@@ -9,11 +9,14 @@ use super::bridge::{self, Bridge};
 use super::encoder::{Counts, Encoder};
 use crate::board::handed_over::HandedOver;
 use crate::board::slot::Slot;
+use crate::config::ConfigError;
 use crate::drive::ReadyController;
+use crate::fault::{ActiveLimits, Fault, Faults};
 use crate::hal::{Codes, Sample};
 use crate::link::message::{Status, Telemetry};
+use crate::parameters::Parameters;
 use crate::shunts::Shunts;
-use crate::supervisor::{Command, Conditions, Output, Refusal, Supervisor};
+use crate::supervisor::{Command, Conditions, Mode, Output, Refusal, Supervisor};
 use core::sync::atomic::{AtomicU32, Ordering};
 use cortex_m::peripheral::{DWT, NVIC};
 use embassy_stm32::interrupt;
@@ -107,26 +110,34 @@ struct Control {
     is_late: bool,
 }
 
-/// Hands everything to the interrupt and enables it.
-pub(super) fn start(supervisor: Supervisor<f32>, bridge: Bridge, encoder: Encoder) {
-    let status = status_of(&supervisor);
+/// Hands everything to the interrupt and enables it, with faults that there have been.
+pub(super) fn start(
+    parameters: &Parameters,
+    faults: [Option<Fault>; 2],
+    bridge: Bridge,
+    encoder: Encoder,
+) -> Result<(), ConfigError> {
+    let control = Control {
+        bridge,
+        encoder,
+        shunts: Shunts::new(analogue::SHUNTS),
+        status: Status { mode: Mode::Boot, faults: Faults::NONE, limits: ActiveLimits::NONE },
+        cycles: [0; 2],
+        since_telemetry: 0,
+        is_late: false,
+        // Last, and so straight to its place: it is large.
+        supervisor: super::build(parameters)?,
+    };
     // SAFETY: the interrupt is still masked.
-    unsafe {
-        CONTROL.hand_over(Control {
-            supervisor,
-            bridge,
-            encoder,
-            shunts: Shunts::new(analogue::SHUNTS),
-            status,
-            cycles: [0; 2],
-            since_telemetry: 0,
-            is_late: false,
-        });
+    let control = unsafe { CONTROL.hand_over(control) };
+    for fault in faults.into_iter().flatten() {
+        control.supervisor.latch(fault);
     }
     interrupt::ADC1_2.set_priority(interrupt::Priority::P0);
     NVIC::unpend(interrupt::ADC1_2);
     // SAFETY: all that the handler uses is in place.
     unsafe { interrupt::ADC1_2.enable() };
+    Ok(())
 }
 
 #[interrupt]

@@ -64,6 +64,8 @@ pub struct Board {
 }
 
 /// Starts the board, with outputs off, and the control interrupt.
+// Not inlined: a task would keep the stack that this takes for good.
+#[inline(never)]
 pub fn start() -> Board {
     let p = embassy_stm32::init(config());
     pins::start_unused_leg();
@@ -79,20 +81,14 @@ pub fn start() -> Board {
     embassy_stm32::interrupt::TIM1_BRK_TIM15.set_priority(Priority::P8);
 
     let (mut link, bad_parameters) = Link::load(p.FLASH);
-    let supervisor = build(link.parameters());
-    let is_running = match (bridge, supervisor) {
-        (Some(bridge), Ok(mut supervisor)) if is_converting => {
-            for fault in [watchdog_reset, bad_parameters].into_iter().flatten() {
-                supervisor.latch(fault);
-            }
-            interrupt::start(supervisor, bridge, encoder);
-            true
-        }
-        _ => {
-            link.is_dead(Fault::SelfTest);
-            false
-        }
-    };
+    let faults = [watchdog_reset, bad_parameters];
+    let is_running = is_converting
+        && bridge.is_some_and(|bridge| {
+            interrupt::start(link.parameters(), faults, bridge, encoder).is_ok()
+        });
+    if !is_running {
+        link.is_dead(Fault::SelfTest);
+    }
     let port = Port { usart: p.USART2, rx: p.PB4, tx: p.PB3 };
     Board { link, port, led: p.PC6, button: p.PC10, is_running }
 }
