@@ -93,7 +93,7 @@ impl Setup {
         Some(words)
     }
 
-    /// From words; nothing if they are no setup.
+    /// From words; nothing if a value in them does not fit. What is not in them is not set, and refused by the drive that it is for.
     pub fn from_words(words: [u32; Self::WORDS]) -> Option<Self> {
         let mut bytes = [0; 4 * Self::WORDS];
         for (bytes, word) in bytes.as_chunks_mut().0.iter_mut().zip(words) {
@@ -291,7 +291,7 @@ mod tests {
     use crate::control::drive_form::{DriveFormConfig, Memory};
     use crate::control::paper::{Form, Gains, Law, PaperConfig, Start};
     use crate::control::{ControlConfig, Signals, Timing};
-    use crate::drive::Limits;
+    use crate::drive::{Drive, Limits};
     use crate::estimate::SpeedSource;
     use crate::motor::MotorParameters;
     use crate::sense::{Calibration, Reads, Sensors};
@@ -341,7 +341,9 @@ mod tests {
             let words = setup.to_words().expect("enough words");
             assert_eq!(Setup::from_words(words), Some(setup));
         }
-        assert_eq!(Setup::from_words([u32::MAX; Setup::WORDS]), None);
+        // What is not in the words is not set, and so refused.
+        let Setup(unset) = Setup::from_words([u32::MAX; Setup::WORDS]).expect("nothing in it");
+        assert!(Drive::<f32>::new(&unset).is_err());
     }
 
     #[test]

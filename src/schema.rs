@@ -11,7 +11,7 @@
 //! A struct is a group, with its fields under its path. An enum is the name of its variant, with what that holds under the same
 //! path; a flag is `false` or `true`, an option `none` or its number. So a name's children depend on the values of the names above it,
 //! and a variant that is chosen by its name holds nothing usable until its values are set too: its numbers are NaN,
-//! which every check refuses.
+//! which every check refuses, its names the first ones.
 //!
 //! All of it is behind `dyn`: what reads, writes, stores and sends exists once, not once for each type.
 
@@ -131,7 +131,7 @@ pub fn nth(parameter: &mut dyn Parameter, index: usize) -> Option<(Path, Value<'
 }
 
 /// Why a value was not set.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SetError {
     /// There is no such name, or not with the other values as they are.
     Unknown,

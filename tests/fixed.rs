@@ -62,9 +62,9 @@ fn what_fixed_point_cannot_represent_is_refused_with_its_field() {
         Drive::<Q31>::new(&scenario.drive_config()).expect_err("refused").field
     };
     let explicit = |scenario: &mut Scenario| scenario.control.form = FormName::Explicit;
-    assert_eq!(refused(&explicit, "paper", Controller::BsQsmdo), "form");
+    assert_eq!(refused(&explicit, "paper", Controller::BsQsmdo), "control.form");
     let fast = |scenario: &mut Scenario| scenario.gains.c = 3_900.0;
-    assert_eq!(refused(&fast, "paper", Controller::Bs), "gains.c");
+    assert_eq!(refused(&fast, "paper", Controller::Bs), "control.gains.c");
     let reserve = |scenario: &mut Scenario| scenario.tuning.voltage_reserve = Some(25.0);
     assert_eq!(refused(&reserve, "encoder", Controller::DriveQsmdo), "control.voltage_reserve");
 }

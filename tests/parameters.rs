@@ -222,6 +222,33 @@ fn a_flipped_bit_is_harmless_or_told() {
 }
 
 #[test]
+fn what_was_damaged_stays_told_through_an_interrupted_save() {
+    let mut flash = SimulatedFlash::new();
+    for number in 1..4 {
+        store(&mut flash).save(&numbered(number)).expect("saved");
+    }
+    let newest = 3.0_f32.to_le_bytes();
+    let place = flash.memory().windows(4).position(|bytes| bytes == newest).expect("set 3");
+    flash.flip(8 * place);
+    let unreadable = Loaded { parameters: parameters(), origin: Origin::Unreadable };
+    assert_eq!(load(&mut flash), unreadable);
+    let mut whole = flash.clone();
+    store(&mut whole).save(&numbered(4)).expect("saved");
+    let saved = Loaded { parameters: numbered(4), origin: Origin::Saved };
+    assert_eq!(load(&mut whole), saved);
+    for operation in 0..whole.operations() - flash.operations() {
+        for tear in Tear::ALL {
+            let mut torn = flash.clone();
+            torn.fail_after(operation, tear);
+            store(&mut torn).save(&numbered(4)).expect_err("no power");
+            let loaded = load(&mut torn.powered_again());
+            // In no case the set before the damaged one.
+            assert!(loaded == unreadable || loaded == saved, "{operation}, {tear:?}: {loaded:?}");
+        }
+    }
+}
+
+#[test]
 fn a_worn_out_flash_is_no_success() {
     let mut flash = SimulatedFlash::new();
     store(&mut flash).save(&numbered(1)).expect("saved");
@@ -413,6 +440,7 @@ fn names_are_unique_and_have_room() {
     }
     assert!(paths.len() > 40, "{paths:?}");
     assert_eq!(paths.len(), records.len(), "no two have the same key");
+    assert!(!records.contains(&[0; 4]), "which is what pads records");
     assert!(paths.contains(&("control.speed.fed".to_owned(), true)));
 }
 
@@ -486,6 +514,36 @@ fn errors(set: Parameters) -> Vec<ConfigError> {
         }
     }
     errors
+}
+
+#[test]
+fn numbers_that_are_not_set_are_refused() {
+    let is_nan = |value| matches!(value, Some(Value::Number(number)) if number.is_nan());
+    let is_refused = |Parameters { drive, protection }: &Parameters| {
+        let [float, fixed] = [
+            Supervisor::<f32>::new(drive, protection).err(),
+            Supervisor::<Q31>::new(drive, protection).err(),
+        ];
+        float.is_some() && fixed.is_some()
+    };
+    let (mut unset, mut broken) = (0, 0);
+    for set in every_name() {
+        if names(set).iter().any(|(_, value)| is_nan(*value)) {
+            assert!(is_refused(&set), "{set:?}");
+            unset += 1;
+        }
+    }
+    for control in controls() {
+        let whole = with_control(&parameters(), control);
+        for (name, _) in names(whole) {
+            let mut set = whole;
+            if quasidrive::schema::set(&mut set, &name, Value::Number(f32::NAN)).is_ok() {
+                assert!(is_refused(&set), "{name}");
+                broken += 1;
+            }
+        }
+    }
+    assert!(unset > 5 && broken > 100, "{unset}, {broken}");
 }
 
 #[test]

@@ -462,21 +462,24 @@ fn refused_configurations_name_the_field() {
             DriveConfig { shape: Shape::SecondOrder { bandwidth: -1.0 }, ..good },
             "reference.bandwidth",
         ),
-        (with_gains(good, Gains { epsilon2: 1e-2, ..Gains::PAPER }), "gains.epsilon2"),
-        (with_gains(good, Gains { k1: 1e-9, epsilon1: 1e-6, ..Gains::PAPER }), "gains.epsilon1"),
-        (with_gains(good, Gains { c: 4001.0, ..Gains::PAPER }), "gains.c"),
-        (with_gains(good, Gains { k2: 1e30, epsilon2: 1e27, ..Gains::PAPER }), "gains"),
+        (with_gains(good, Gains { epsilon2: 1e-2, ..Gains::PAPER }), "control.gains.epsilon2"),
+        (
+            with_gains(good, Gains { k1: 1e-9, epsilon1: 1e-6, ..Gains::PAPER }),
+            "control.gains.epsilon1",
+        ),
+        (with_gains(good, Gains { c: 4001.0, ..Gains::PAPER }), "control.gains.c"),
+        (with_gains(good, Gains { k2: 1e30, epsilon2: 1e27, ..Gains::PAPER }), "control.gains"),
     ];
     for (config, field) in cases {
         assert_eq!(Drive::<f32>::new(&config).expect_err(field).field, field);
     }
     for bad in [0.0, -1.0, f32::NAN, f32::INFINITY] {
         let cases = [
-            (Gains { c: bad, ..Gains::PAPER }, "gains.c"),
-            (Gains { k1: bad, ..Gains::PAPER }, "gains.k1"),
-            (Gains { epsilon1: bad, ..Gains::PAPER }, "gains.epsilon1"),
-            (Gains { k2: bad, ..Gains::PAPER }, "gains.k2"),
-            (Gains { epsilon2: bad, ..Gains::PAPER }, "gains.epsilon2"),
+            (Gains { c: bad, ..Gains::PAPER }, "control.gains.c"),
+            (Gains { k1: bad, ..Gains::PAPER }, "control.gains.k1"),
+            (Gains { epsilon1: bad, ..Gains::PAPER }, "control.gains.epsilon1"),
+            (Gains { k2: bad, ..Gains::PAPER }, "control.gains.k2"),
+            (Gains { epsilon2: bad, ..Gains::PAPER }, "control.gains.epsilon2"),
         ];
         for (gains, field) in cases {
             let refused = Drive::<f32>::new(&with_gains(good, gains)).expect_err(field);

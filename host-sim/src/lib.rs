@@ -14,6 +14,7 @@
 //! - [`scoreboard`]: every controller on the same sensors, and the search for the best of its kind;
 //! - [`virtual_drive`]: a drive on the simulated board that speaks the firmware's link; [`serve`] puts it behind a socket;
 //! - [`client`]: the host's end of the link; [`connect`] and [`watch`] are its commands, [`assignment`] its names of parameters;
+//! - [`wired`]: motor, power stage and sensors behind the pins of an emulated board, switch by switch;
 //! - [`report`]: what they show, as HTML and in the terminal; [`plot`] and [`terminal`] draw its plots and tables.
 
 pub mod assignment;
@@ -40,3 +41,4 @@ pub mod simulation;
 pub mod terminal;
 pub mod virtual_drive;
 pub mod watch;
+pub mod wired;

@@ -81,15 +81,31 @@ impl Plant {
         self.motor.coulomb_friction * speed / (speed * speed + CREEP_SPEED * CREEP_SPEED).sqrt()
     }
 
-    fn derivative(&self, state: State, voltage: f64, load: f64) -> State {
+    /// The motor's parameters.
+    pub fn motor(&self) -> &Motor {
+        &self.motor
+    }
+
+    /// The shaft's acceleration ω̇ (rad/s²) under a load torque (N·m).
+    #[inline]
+    pub fn acceleration(&self, state: State, load: f64) -> f64 {
         let State { speed, current } = state;
-        let Motor { resistance, back_emf_constant, viscous_friction, .. } = self.motor;
+        let Motor { back_emf_constant, viscous_friction, .. } = self.motor;
         let torque = back_emf_constant * current
             - viscous_friction * speed
             - self.coulomb_torque(speed)
             - load;
+        torque * self.per_inertia
+    }
+
+    fn derivative(&self, state: State, voltage: f64, load: f64) -> State {
+        let State { speed, current } = state;
+        let Motor { resistance, back_emf_constant, .. } = self.motor;
         let inductive_voltage = voltage - resistance * current - back_emf_constant * speed;
-        State { speed: torque * self.per_inertia, current: inductive_voltage * self.per_inductance }
+        State {
+            speed: self.acceleration(state, load),
+            current: inductive_voltage * self.per_inductance,
+        }
     }
 
     /// Integration steps that a time of `duration` (s) needs.

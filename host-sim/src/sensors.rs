@@ -118,6 +118,55 @@ impl SensorsTable {
     }
 }
 
+/// Noise of a deviation that was checked.
+pub(crate) fn noise(deviation: f64) -> Normal<f64> {
+    #[expect(clippy::expect_used, reason = "checked: finite and not negative")]
+    Normal::new(0.0, deviation).expect("a deviation")
+}
+
+/// The encoder's disc.
+#[derive(Clone, Debug)]
+pub(crate) struct Disc {
+    counts_per_turn: u32,
+    reversed: bool,
+    /// Misplacement of each edge (counts); empty if all are in their places.
+    edges: Vec<f64>,
+}
+
+impl Disc {
+    /// The disc of a table that was checked, its edges placed at random.
+    pub fn new(table: &SensorsTable, random: &mut StdRng) -> Self {
+        let placing = noise(table.edge_error);
+        // Beyond half a count neighbouring edges would change places.
+        let edges =
+            (0..table.counts_per_turn).map(|_| placing.sample(random).clamp(-0.45, 0.45)).collect();
+        Self {
+            counts_per_turn: table.counts_per_turn,
+            reversed: table.encoder_reversed,
+            edges: if table.edge_error > 0.0 { edges } else { Vec::new() },
+        }
+    }
+
+    /// Counts from angle zero to an angle (rad).
+    #[inline]
+    pub fn count(&self, angle: f64) -> i64 {
+        let turned = if self.reversed { -angle } else { angle };
+        let position = turned / std::f64::consts::TAU * f64::from(self.counts_per_turn);
+        let towards_zero = position as i64;
+        let below = towards_zero - i64::from(position < towards_zero as f64);
+        // Edges that are all in their places need not be looked up, 16 times a period.
+        below + if self.edges.is_empty() { 0 } else { self.misplaced(position, below) }
+    }
+
+    /// How much a position (counts) reads beyond the count below it for the misplacement of the edges next to it.
+    fn misplaced(&self, position: f64, below: i64) -> i64 {
+        let edge = |count: i64| {
+            count as f64 + self.edges[count.rem_euclid(self.edges.len() as i64) as usize]
+        };
+        i64::from(position >= edge(below + 1)) - i64::from(position < edge(below))
+    }
+}
+
 /// Sensors at work.
 #[derive(Clone, Debug)]
 pub struct Sensors {
@@ -125,8 +174,7 @@ pub struct Sensors {
     random: StdRng,
     current_noise: Normal<f64>,
     bus_voltage_noise: Normal<f64>,
-    /// Misplacement of each edge (counts).
-    edges: Vec<f64>,
+    disc: Disc,
     encoder: [u16; READS],
     /// How much earlier the encoder is read in this period, in 1/256 of the distance of two reads.
     shift: u8,
@@ -136,21 +184,13 @@ impl Sensors {
     /// Sensors of a table that was checked, with the shaft at angle zero.
     pub fn new(table: SensorsTable) -> Self {
         let mut random = StdRng::seed_from_u64(table.seed);
-        let normal = |deviation: f64| {
-            #[expect(clippy::expect_used, reason = "checked: finite and not negative")]
-            Normal::new(0.0, deviation).expect("a deviation")
-        };
-        let placing = normal(table.edge_error);
-        // Beyond half a count neighbouring edges would change places.
-        let edges = (0..table.counts_per_turn)
-            .map(|_| placing.sample(&mut random).clamp(-0.45, 0.45))
-            .collect();
+        let disc = Disc::new(&table, &mut random);
         Self {
             table,
             random,
-            current_noise: normal(table.current_noise),
-            bus_voltage_noise: normal(table.bus_voltage_noise),
-            edges,
+            current_noise: noise(table.current_noise),
+            bus_voltage_noise: noise(table.bus_voltage_noise),
+            disc,
             encoder: [0; READS],
             shift: 0,
         }
@@ -164,23 +204,7 @@ impl Sensors {
     /// Reads the encoder's counter for the `read`th time in a period, at an angle (rad).
     #[inline]
     pub fn read_encoder(&mut self, read: usize, angle: f64) {
-        let turned = if self.table.encoder_reversed { -angle } else { angle };
-        let position = turned / std::f64::consts::TAU * f64::from(self.table.counts_per_turn);
-        let towards_zero = position as i64;
-        let below = towards_zero - i64::from(position < towards_zero as f64);
-        // Edges that are all in their places need not be looked up, 16 times a period.
-        let misplaced =
-            if self.table.edge_error > 0.0 { self.misplaced(position, below) } else { 0 };
-        let count = below + misplaced;
-        self.encoder[read] = count as u16;
-    }
-
-    /// How much a position (counts) reads beyond the count below it for the misplacement of the edges next to it.
-    fn misplaced(&self, position: f64, below: i64) -> i64 {
-        let edge = |count: i64| {
-            count as f64 + self.edges[count.rem_euclid(self.edges.len() as i64) as usize]
-        };
-        i64::from(position >= edge(below + 1)) - i64::from(position < edge(below))
+        self.encoder[read] = self.disc.count(angle) as u16;
     }
 
     /// A period's sample, of the current (A) and the bus voltage (V) at its end and the counter's reads.

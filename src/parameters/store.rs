@@ -94,10 +94,10 @@ impl<E> From<E> for SaveError<E> {
 /// What the slots hold.
 #[derive(Clone, Copy, Default)]
 struct Survey {
-    /// The newest readable set's generation, and its slot.
+    /// The newest readable set: its generation and slot.
     newest: Option<(u32, usize)>,
-    /// Newest generation that is known to have been saved completely.
-    committed: Option<u32>,
+    /// The newest set that is known to have been saved completely.
+    committed: Option<(u32, usize)>,
     /// Whether something could not be read.
     failed: bool,
 }
@@ -122,7 +122,7 @@ impl<F: NorFlash> ParameterStore<F> {
         let mut loaded = Loaded { parameters: *defaults, origin: Origin::Unreadable };
         match newest {
             None if committed.is_none() && !failed => loaded.origin = Origin::NeverSaved,
-            Some((generation, slot)) if Some(generation) >= committed => {
+            Some((_, slot)) if newest >= committed => {
                 let is_whole = self.read(slot, &mut set).is_ok_and(|set| {
                     set.is_some_and(|(_, records)| records::read(&mut loaded.parameters, records))
                 });
@@ -141,9 +141,10 @@ impl<F: NorFlash> ParameterStore<F> {
     pub fn save(&mut self, parameters: &Parameters) -> Result<(), SaveError<F::Error>> {
         let mut buffer = [0; LARGEST];
         let Survey { newest, committed, .. } = self.survey(&mut buffer);
-        let last = newest.map(|(generation, _)| generation).max(committed);
-        let generation = last.map_or(0, |last| last.saturating_add(1));
-        let slot = newest.map_or(0, |(_, slot)| 1 - slot);
+        // Of a set that was damaged, what tells so stays until there is another.
+        let last = newest.max(committed);
+        let (generation, slot) =
+            last.map_or((0, 0), |(generation, slot)| (generation.saturating_add(1), 1 - slot));
         let Range { start, end } = self.slots[slot];
         let set = encode(parameters, generation, &mut buffer).ok_or(SaveError::TooLarge)?;
         self.flash.erase(start, end)?;
@@ -172,7 +173,8 @@ impl<F: NorFlash> ParameterStore<F> {
                     let [generation @ .., _, _, _, _] = bytes;
                     let generation = u32::from_le_bytes(generation);
                     let is_whole = bytes == commitment(generation);
-                    survey.committed = survey.committed.max(is_whole.then_some(generation));
+                    let found = is_whole.then_some((generation, slot));
+                    survey.committed = survey.committed.max(found);
                 }
                 Err(_) => survey.failed = true,
             }

@@ -51,10 +51,14 @@ fn run() -> Result<(), Box<dyn Error>> {
     let duration: f64 = arguments.next().map_or(Ok(1.0), |text| text.parse())?;
     let image = Image::from_elf(&std::fs::read(file)?)?;
     let mut board = VirtualBoard::new(&image, Bench);
-    board.run_until(0.03)?;
-    println!("{} main {} gates {:?}", board_place(&board), board.main_output(), board.gates());
     let boot = 0.3;
-    board.run_until(boot).inspect_err(|_| println!("in {:?}", board_place(&board)))?;
+    if let Err(stop) = board.run_until(boot) {
+        let (_, function) = board.place();
+        return Err(format!("{stop}, in {}", function.unwrap_or("no function")).into());
+    }
+    if let [_, reset, ..] = board.resets() {
+        return Err(format!("it does not come up: {reset:x?}").into());
+    }
     println!("violations: {:?}", board.violations());
     board.statistics().clear();
     let (start, before) = (Instant::now(), board.instructions());
@@ -67,7 +71,6 @@ fn run() -> Result<(), Box<dyn Error>> {
         instructions / duration / 1e6
     );
     println!("stack: {} bytes; main output {}", board.stack_use(), board.main_output());
-    println!("resets: {:?}", board.resets());
     for (exception, handler) in board.statistics().handlers() {
         println!(
             "exception {exception}: {:.1} Hz, instructions {} to {}, mean {:.1}; cycles {} to {}, mean {:.1}",
@@ -82,11 +85,6 @@ fn run() -> Result<(), Box<dyn Error>> {
     }
     profile(&mut board, &image)?;
     Ok(())
-}
-
-fn board_place(board: &VirtualBoard<Bench>) -> String {
-    let (pc, function) = board.place();
-    format!("{pc:#010x} {function:?}")
 }
 
 /// Prints where the control interrupt's instructions are.

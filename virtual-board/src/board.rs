@@ -1,9 +1,6 @@
 //! The board: core, microcontroller and world, played in time.
 
-use crate::chip::flash::Cells;
-use crate::chip::rcc::Reset;
-use crate::chip::usart::Line;
-use crate::chip::{Chip, Refused, Switched, Violation};
+use crate::chip::{Cells, Chip, Line, Refused, Reset, Switched, Violation};
 use crate::cpu::{Bus, Cpu, Shared};
 use crate::image::Image;
 use crate::memory::Memory;
@@ -46,6 +43,8 @@ pub struct ResetEvent {
     pub time: f64,
     /// Why.
     pub reset: Reset,
+    /// The last address without memory that the core reached for since the reset before: what a lock-up is from.
+    pub fault_address: Option<u32>,
 }
 
 /// An emulated board with a world around it.
@@ -161,6 +160,8 @@ impl<W: World + Send + 'static> VirtualBoard<W> {
             return cycles;
         }
         self.statistics.follow(exception, |number| self.cpu.is_active(number));
+        // What is handled has to be told to be so, before its level makes it pending again.
+        self.next = self.now;
         // `rsemu` counts stacking twice.
         cycles.min(ENTRY)
     }
@@ -201,9 +202,9 @@ impl<W: World + Send + 'static> VirtualBoard<W> {
             chip.advance(until);
         }
         let [high, low] = self.forced;
-        self.cpu.set_interrupts((chip.interrupts() | high) & !low);
-        self.cpu.set_nmi(chip.nmi());
-        self.next = chip.next_event();
+        let levels = (chip.interrupts() | high) & !low;
+        let are_set = self.cpu.set_interrupts(levels, chip.nmi());
+        self.next = if are_set { chip.next_event() } else { self.now + 1 };
         Ok(())
     }
 
@@ -231,13 +232,14 @@ impl<W: World + Send + 'static> VirtualBoard<W> {
         let mut chip = shared.bus();
         chip.advance(self.now);
         chip.reset(reset);
+        let fault_address = self.cpu.fault_address();
         self.cpu.reset();
         self.statistics.reset();
         self.is_locked_up = false;
         self.cycle = chip.cycle();
         self.next = chip.next_event();
         self.memory.paint(self.image.stack());
-        self.resets.push(ResetEvent { time: seconds(self.now), reset });
+        self.resets.push(ResetEvent { time: seconds(self.now), reset, fault_address });
     }
 
     /// Power goes: what the flash is at stays half done, and the memories lose their contents.
@@ -328,16 +330,6 @@ impl<W: World + Send + 'static> VirtualBoard<W> {
         self.is_locked_up
     }
 
-    /// The stack's pointer.
-    pub fn stack_pointer(&self) -> u32 {
-        self.cpu.sp()
-    }
-
-    /// The last address without memory that the core reached for, if it did.
-    pub fn fault_address(&self) -> Option<u32> {
-        self.cpu.fault_address()
-    }
-
     /// Address of the next instruction, and the function that it is in.
     pub fn place(&self) -> (u32, Option<&str>) {
         let pc = self.cpu.pc();
@@ -392,4 +384,3 @@ impl<W: World + Send + 'static> VirtualBoard<W> {
         self.cpu.set_sp(self.image.stack().start + left);
     }
 }
-

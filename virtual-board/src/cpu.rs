@@ -6,9 +6,9 @@
 
 use crate::chip::flash;
 use crate::memory::{CCM, CCM_ALIAS, Memory, SRAM};
-use rsemu::core::space::{AddressSpace, MemAttrs, MemOps, MemResult, Mapping, Perms, Region};
+use rsemu::core::space::{AddressSpace, Mapping, MemAttrs, MemOps, MemResult, Perms, Region};
 use rsemu::cpu::arm::v7m::sys::Exception;
-use rsemu::cpu::arm::v7m::{ArmV7m, Config};
+use rsemu::cpu::arm::v7m::{ArmV7m, Config, xpsr};
 use std::fmt;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -128,8 +128,7 @@ impl Cpu {
             Mapping::new(window(flash::BASE, flash::SIZE as u64), cells)
                 .with_perms(Perms::WRITE)
                 .with_priority(1),
-            Mapping::new(window(flash::BASE + DATA_PAGES as u32, data_size), data)
-                .with_priority(2),
+            Mapping::new(window(flash::BASE + DATA_PAGES as u32, data_size), data).with_priority(2),
             Mapping::new(ram(&memory.sram), SRAM.into()),
             Mapping::new(ram(&memory.ccm), CCM.into()),
             Mapping::new(ram(&memory.ccm), CCM_ALIAS.into()),
@@ -160,8 +159,14 @@ impl Cpu {
         self.core.step()
     }
 
-    /// Sets the levels of the interrupts, a bit each.
-    pub fn set_interrupts(&mut self, levels: u64) {
+    /// Sets the levels of the interrupts, a bit each, and of the non-maskable one. Tells whether all are set: between the instructions of
+    /// an IT block those that rise have to wait, since `rsemu` 0.0.7 loses the block's state when an exception is entered there.
+    pub fn set_interrupts(&mut self, levels: u64, nmi: bool) -> bool {
+        // What is being handled is not made pending by its level; `rsemu` does not know that of the non-maskable interrupt.
+        let nmi = nmi && !self.is_active(Exception::NMI.0);
+        let is_rising = levels & !self.interrupts != 0 || nmi && !self.core.nmi_asserted();
+        let waits = is_rising && self.core.xpsr() & xpsr::IT_MASK != 0;
+        let (levels, nmi) = if waits { (levels & self.interrupts, false) } else { (levels, nmi) };
         let mut changed = levels ^ self.interrupts;
         self.interrupts = levels;
         while changed != 0 {
@@ -169,11 +174,8 @@ impl Cpu {
             changed &= changed - 1;
             self.core.set_irq(number as u16, levels & 1 << number != 0);
         }
-    }
-
-    /// Sets the level of the non-maskable interrupt.
-    pub fn set_nmi(&self, level: bool) {
-        self.core.set_nmi(level);
+        self.core.set_nmi(nmi);
+        !waits
     }
 
     /// Cycles go by in which the core stands still, but its clock does not.
@@ -218,11 +220,6 @@ impl Cpu {
         self.core.set_pc(address & !1);
     }
 
-    /// The stack's pointer.
-    pub fn sp(&self) -> u32 {
-        self.core.reg(13)
-    }
-
     /// The last address without memory that it reached for, if it did.
     pub fn fault_address(&self) -> Option<u32> {
         let (count, address) = self.core.bus_faults();
@@ -236,9 +233,87 @@ impl Cpu {
 }
 
 fn start(space: &Arc<AddressSpace>) -> ArmV7m {
-    let config =
-        Config::CORTEX_M4F.with_reset_vtor(flash::BASE).with_priority_bits(PRIORITY_BITS);
+    let config = Config::CORTEX_M4F.with_reset_vtor(flash::BASE).with_priority_bits(PRIORITY_BITS);
     let core = ArmV7m::new(config);
     core.attach_space(Arc::clone(space));
     core
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    struct NoBus;
+
+    impl Bus for NoBus {
+        fn read(&mut self, _time: u64, _address: u32, _size: usize) -> u32 {
+            0
+        }
+
+        fn write(&mut self, _time: u64, _address: u32, _size: usize, _value: u32) {}
+    }
+
+    /// Enables interrupt 0, then tests r4 for 1 for ever, and changes it only then. The interrupt's handler sets the flag Z.
+    fn core() -> Cpu {
+        let mut flash = vec![0_u8; 0x200];
+        let mut put = |address: usize, halves: &[u16]| {
+            for (place, half) in halves.iter().enumerate() {
+                flash[address + 2 * place..][..2].copy_from_slice(&half.to_le_bytes());
+            }
+        };
+        put(0, &[0x1000, 0x2000]); // stack
+        put(4, &[0x0101, 0x0800]); // reset
+        put(64, &[0x0141, 0x0800]); // interrupt 0
+        let enable = [
+            0x4804, // ldr r0, =0xe000e100
+            0x2101, // movs r1, #1
+            0x6001, // str r1, [r0]
+            0x2400, // movs r4, #0
+            0x2c01, // 1: cmp r4, #1
+            0xbf04, // itt eq
+            0x2407, // moveq r4, #7
+            0x3407, // addeq r4, #7
+            0xe7fa, // b 1b
+            0xbf00, // nop
+            0xe100, 0xe000,
+        ];
+        put(0x100, &enable);
+        put(0x140, &[0x2000, 0x4770]); // movs r0, #0; bx lr
+        let memory = Memory::new();
+        memory.show_flash(0, &flash);
+        Cpu::new(&memory, &Arc::new(Shared::new(NoBus)))
+    }
+
+    #[test]
+    fn an_interrupt_within_an_it_block_does_not_end_it() {
+        let mut waited = 0;
+        for before in 5..40 {
+            let mut cpu = core();
+            (0..before).for_each(|_| drop(cpu.step()));
+            while !cpu.set_interrupts(1, false) {
+                cpu.step();
+                waited += 1;
+            }
+            cpu.step();
+            assert_eq!(cpu.exception(), 16);
+            cpu.set_interrupts(0, false);
+            (0..10).for_each(|_| drop(cpu.step()));
+            assert_eq!(cpu.exception(), 0);
+            assert_eq!(cpu.core.reg(4), 0, "after {before} steps");
+        }
+        assert!(waited > 0);
+    }
+
+    #[test]
+    fn a_non_maskable_interrupt_that_is_cleared_by_its_handler_comes_once() {
+        let mut cpu = core();
+        (0..10).for_each(|_| drop(cpu.step()));
+        while !cpu.set_interrupts(0, true) {
+            cpu.step();
+        }
+        cpu.step();
+        assert_eq!(cpu.exception(), Exception::NMI.0);
+        cpu.set_interrupts(0, true);
+        assert!(!cpu.core.nmi_asserted());
+    }
 }

@@ -5,8 +5,11 @@ use std::sync::Arc;
 
 /// SRAM1 and SRAM2, which follow each other.
 pub const SRAM: u32 = 0x2000_0000;
-/// Core-coupled memory, and its second address, behind SRAM2.
+
+/// Core-coupled memory.
 pub const CCM: u32 = 0x1000_0000;
+
+/// Its second address, behind SRAM2.
 pub const CCM_ALIAS: u32 = 0x2000_5800;
 
 const SRAM_SIZE: u64 = 22 * 1024;

@@ -24,8 +24,7 @@ impl Dac {
     pub fn output(&self) -> Option<f64> {
         // Mode 3: to on-chip peripherals, without buffer.
         let is_internal = field(self.mcr, 0, 3) == 3;
-        (bit(self.cr, 0) && is_internal)
-            .then(|| f64::from(self.dhr1) / 4096.0 * super::SUPPLY)
+        (bit(self.cr, 0) && is_internal).then(|| f64::from(self.dhr1) / 4096.0 * super::SUPPLY)
     }
 
     /// Reads a register.

@@ -2,25 +2,28 @@
 //!
 //! One file per block of the reference manual RM0440. Times of events are exact; [`Chip::advance`] plays them in their order.
 
-pub mod adc;
-pub mod block;
-pub mod comp;
-pub mod dac;
-pub mod dbgmcu;
-pub mod dma;
-pub mod flash;
-pub mod gpio;
-pub mod iwdg;
-pub mod opamp;
-pub mod pwr;
-pub mod rcc;
-pub mod syscfg;
-pub mod tim;
-pub mod tim1;
-pub mod tim4;
-pub mod usart;
-
+mod adc;
+mod block;
+mod comp;
+mod dac;
+mod dbgmcu;
+mod dma;
+pub(crate) mod flash;
+mod gpio;
+mod iwdg;
 mod map;
+mod opamp;
+mod pwr;
+mod rcc;
+mod syscfg;
+mod tim;
+mod tim1;
+mod tim4;
+mod usart;
+
+pub use flash::Cells;
+pub use rcc::Reset;
+pub use usart::Line;
 
 use crate::memory::Memory;
 use crate::time::{MICROSECOND, NEVER, Tick, seconds};
@@ -28,12 +31,10 @@ use crate::world::{AnaloguePin, Gates, World};
 use adc::Adc;
 use block::Unmodelled;
 use dma::{Request, Transfer};
-use flash::Cells;
 use gpio::{Drive, Gpio};
-use rcc::{Rcc, Reset};
+use rcc::Rcc;
 use std::fmt;
 use tim::Tim;
-use usart::Line;
 
 /// Supply, and the converters' reference (V).
 pub const SUPPLY: f64 = 3.3;
@@ -297,7 +298,7 @@ impl<W: World> Chip<W> {
 
     /// The crystal breaks.
     pub fn break_crystal(&mut self) {
-        self.rcc.break_crystal();
+        self.rcc.break_crystal(self.now);
         self.follow_clock();
         self.follow();
     }
@@ -459,9 +460,7 @@ impl<W: World> Chip<W> {
 
     fn serve(&mut self, request: Request) {
         let is_on = [rcc::Gate::DMA1, rcc::Gate::DMAMUX1].iter().all(|gate| self.rcc.is_on(*gate));
-        let Some(Transfer { from, to }) =
-            is_on.then(|| self.dma.request(request)).flatten()
-        else {
+        let Some(Transfer { from, to }) = is_on.then(|| self.dma.request(request)).flatten() else {
             return;
         };
         let value = match self.memory.read(from.0, from.1) {
@@ -656,4 +655,3 @@ impl From<Unmodelled> for Cause {
         Self::Unmodelled
     }
 }
-

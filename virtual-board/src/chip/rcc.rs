@@ -115,8 +115,6 @@ pub struct Rcc {
     pll_ready: Tick,
     /// Whether the crystal is broken.
     is_crystal_broken: bool,
-    /// Whether a failure of the crystal has been told to TIM1, once.
-    failure: bool,
 }
 
 impl Rcc {
@@ -140,7 +138,6 @@ impl Rcc {
             hse_ready: NEVER,
             pll_ready: NEVER,
             is_crystal_broken,
-            failure: false,
         }
     }
 
@@ -188,24 +185,23 @@ impl Rcc {
     }
 
     /// The crystal breaks, now. Without the clock security system a clock that depends on it stands still.
-    pub fn break_crystal(&mut self) {
+    pub fn break_crystal(&mut self, now: Tick) {
         self.is_crystal_broken = true;
-        let was_running = bit(self.cr, HSEON) && bit(self.cr, HSERDY);
+        let was_running = bit(self.cr, HSEON) && now >= self.hse_ready;
         if was_running && bit(self.cr, CSSON) {
             let feeds_clock = match field(self.cfgr, 0, 2) {
                 2 => true,
                 3 => field(self.pllcfgr, 0, 2) == 3,
                 _ => false,
             };
-            self.cr &= !(1 << HSEON | 1 << HSERDY | 1 << CSSON);
+            self.cr &= !(1 << HSEON | 1 << CSSON);
             self.hse_ready = NEVER;
             if feeds_clock {
-                self.cr = self.cr & !(1 << PLLON | 1 << PLLRDY) | 1 << HSION;
+                self.cr = self.cr & !(1 << PLLON) | 1 << HSION;
                 self.pll_ready = NEVER;
                 self.cfgr = self.cfgr & !3 | 1;
             }
             self.cifr |= 1 << CSSF;
-            self.failure = true;
         }
     }
 
@@ -214,14 +210,9 @@ impl Rcc {
         self.is_crystal_broken
     }
 
-    /// Level of the core's non-maskable interrupt.
+    /// Whether the clock security system has found a failure: a non-maskable interrupt, and TIM1's break.
     pub fn nmi(&self) -> bool {
         bit(self.cifr, CSSF)
-    }
-
-    /// Whether the clock security system has just found a failure: TIM1's break.
-    pub fn take_failure(&mut self) -> bool {
-        core::mem::take(&mut self.failure)
     }
 
     /// Reads a register.
@@ -308,8 +299,11 @@ impl Rcc {
             (_, 0) => now + time,
             _ => at,
         };
-        let hse_ready =
-            if self.is_crystal_broken { NEVER } else { start(HSEON, self.hse_ready, CRYSTAL_START) };
+        let hse_ready = if self.is_crystal_broken {
+            NEVER
+        } else {
+            start(HSEON, self.hse_ready, CRYSTAL_START)
+        };
         let pll_ready = start(PLLON, self.pll_ready, PLL_START);
         (self.hse_ready, self.pll_ready) = (hse_ready, pll_ready);
         // The security system is switched off by a reset only.

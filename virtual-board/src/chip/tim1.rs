@@ -50,8 +50,7 @@ const CHANNELS: usize = 4;
 const SAMPLE: usize = 3;
 
 /// Break filter by BDTR's BKF: cycles of the clock (sampling divider times samples).
-const BREAK_FILTER: [Tick; 16] =
-    [0, 2, 4, 8, 12, 16, 24, 32, 48, 64, 80, 96, 128, 160, 192, 256];
+const BREAK_FILTER: [Tick; 16] = [0, 2, 4, 8, 12, 16, 24, 32, 48, 64, 80, 96, 128, 160, 192, 256];
 
 /// What an event of the timer is for others.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
