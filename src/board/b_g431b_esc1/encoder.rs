@@ -10,7 +10,7 @@
 
 use crate::hal::READS;
 use core::cell::UnsafeCell;
-use core::sync::atomic::{AtomicU16, Ordering};
+use core::sync::atomic::{AtomicU16, Ordering, compiler_fence};
 use embassy_stm32::pac::bdma::vals::{Dir, Pl, Size};
 use embassy_stm32::pac::timer::vals::{CcmrInputCcs, FilterValue, Ocm, Sms, Ts, Urs};
 use embassy_stm32::pac::{DMA1, DMAMUX1, TIM3, TIM4};
@@ -139,8 +139,10 @@ impl Encoder {
         // What DMA still has to fill: more than a half while it is in the first.
         let is_first_being_filled = usize::from(DMA1.ch(READ_CHANNEL).ndtr().read().ndt()) > READS;
         let complete = usize::from(is_first_being_filled);
+        // What is read below is as DMA left it.
+        compiler_fence(Ordering::Acquire);
         // SAFETY: DMA has left this half, and comes back to it in a period.
-        let reads = unsafe { COUNTS.0[complete].get().read_volatile() };
+        let reads = unsafe { COUNTS.0[complete].get().read() };
         let is_in_time = self.last != Some(complete);
         self.last = Some(complete);
 
