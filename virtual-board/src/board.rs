@@ -1,6 +1,6 @@
 //! The board: core, microcontroller and world, played in time.
 
-use crate::chip::{Cells, Chip, Line, Refused, Reset, Switched, Violation};
+use crate::chip::{Cells, Chip, Line, Refused, Reset, Switched, Violated};
 use crate::cpu::{Bus, Cpu, Shared};
 use crate::image::Image;
 use crate::memory::Memory;
@@ -321,7 +321,7 @@ impl<W: World + Send + 'static> VirtualBoard<W> {
     }
 
     /// What the firmware did that the data sheet forbids.
-    pub fn violations(&self) -> Vec<Violation> {
+    pub fn violations(&self) -> Vec<Violated> {
         self.shared.bus().violations().to_vec()
     }
 
