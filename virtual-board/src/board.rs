@@ -1,6 +1,6 @@
 //! The board: core, microcontroller and world, played in time.
 
-use crate::chip::{Cells, Chip, Line, Refused, Reset, Switched, Violation};
+use crate::chip::{Cells, Chip, Line, Refused, Reset, Switched, Violated};
 use crate::cpu::{Bus, Cpu, Shared};
 use crate::image::Image;
 use crate::memory::Memory;
@@ -321,7 +321,7 @@ impl<W: World + Send + 'static> VirtualBoard<W> {
     }
 
     /// What the firmware did that the data sheet forbids.
-    pub fn violations(&self) -> Vec<Violation> {
+    pub fn violations(&self) -> Vec<Violated> {
         self.shared.bus().violations().to_vec()
     }
 
@@ -368,13 +368,13 @@ impl<W: World + Send + 'static> VirtualBoard<W> {
         self.next = self.now;
     }
 
-    /// Lets the core go on at a function, by a part of its name. Tells whether there is one.
+    /// Lets the core go on at a function, by a part of its name; if it sleeps, when it wakes. Tells whether there is one.
     pub fn jump_to(&mut self, function: &str) -> bool {
         let address = self.image.function(function).map(|function| function.code.start);
         address.inspect(|address| self.cpu.jump(*address)).is_some()
     }
 
-    /// Lets the core go on at an address.
+    /// Lets the core go on at an address; if it sleeps, when it wakes.
     pub fn jump(&mut self, address: u32) {
         self.cpu.jump(address);
     }

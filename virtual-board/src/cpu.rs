@@ -284,12 +284,18 @@ mod tests {
         Cpu::new(&memory, &Arc::new(Shared::new(NoBus)))
     }
 
+    fn steps(cpu: &Cpu, count: u32) {
+        for _ in 0..count {
+            cpu.step();
+        }
+    }
+
     #[test]
     fn an_interrupt_within_an_it_block_does_not_end_it() {
         let mut waited = 0;
         for before in 5..40 {
             let mut cpu = core();
-            (0..before).for_each(|_| drop(cpu.step()));
+            steps(&cpu, before);
             while !cpu.set_interrupts(1, false) {
                 cpu.step();
                 waited += 1;
@@ -297,7 +303,7 @@ mod tests {
             cpu.step();
             assert_eq!(cpu.exception(), 16);
             cpu.set_interrupts(0, false);
-            (0..10).for_each(|_| drop(cpu.step()));
+            steps(&cpu, 10);
             assert_eq!(cpu.exception(), 0);
             assert_eq!(cpu.core.reg(4), 0, "after {before} steps");
         }
@@ -307,7 +313,7 @@ mod tests {
     #[test]
     fn a_non_maskable_interrupt_that_is_cleared_by_its_handler_comes_once() {
         let mut cpu = core();
-        (0..10).for_each(|_| drop(cpu.step()));
+        steps(&cpu, 10);
         while !cpu.set_interrupts(0, true) {
             cpu.step();
         }

@@ -1,5 +1,6 @@
 //! The blocks' registers, by what they do to pins, interrupts and each other. Clock: the internal oscillator, 85 ticks a cycle, where nothing
 //! else is said.
+#![allow(clippy::panic, reason = "a test's way to fail with the reason")]
 
 use virtual_board::World;
 use virtual_board::chip::{Cause, Cells, Chip, Line, Reset};
@@ -709,9 +710,13 @@ fn high_clocks_want_boost_and_wait_states() {
     start_pll(&mut bench);
     assert_eq!(bench.chip.violations(), []);
     bench.modify(FLASH, |acr| acr & !0xf | 3);
-    assert_eq!(bench.chip.violations(), [Violation::WaitStates]);
+    bench.run(SECOND);
     bench.write(0x4000_7080, 0x100);
-    assert_eq!(bench.chip.violations(), [Violation::WaitStates, Violation::NoBoost]);
+    let [first, second] = bench.chip.violations() else { panic!("two violations") };
+    assert_eq!((first.violation, second.violation), (Violation::WaitStates, Violation::NoBoost));
+    assert_eq!(first.to, Some(second.from));
+    assert!((second.from - first.from - 1.0).abs() < 1e-9);
+    assert_eq!(second.to, None);
 }
 
 #[test]

@@ -83,6 +83,17 @@ pub enum Violation {
     WaitStates,
 }
 
+/// A violation, and for how long.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Violated {
+    /// What was violated.
+    pub violation: Violation,
+    /// From when on (s).
+    pub from: f64,
+    /// Until when (s); nothing if it goes on.
+    pub to: Option<f64>,
+}
+
 /// The bridge's main output enable changed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Switched {
@@ -121,7 +132,7 @@ pub struct Chip<W> {
     gates: Gates,
     last_active: Tick,
     switched: Vec<Switched>,
-    violations: Vec<Violation>,
+    violations: Vec<Violated>,
     refused: Option<Refused>,
     /// For DMA.
     memory: Memory,
@@ -250,7 +261,7 @@ impl<W: World> Chip<W> {
     }
 
     /// What the firmware did that the data sheet forbids.
-    pub fn violations(&self) -> &[Violation] {
+    pub fn violations(&self) -> &[Violated] {
         &self.violations
     }
 
@@ -575,16 +586,24 @@ impl<W: World> Chip<W> {
         let megahertz = MICROSECOND as f64 / cycle as f64;
         // 30 MHz a wait state without boost, 34 MHz with it.
         let limit = if self.pwr.is_boosted() { 34.0 } else { 30.0 };
-        if megahertz > 150.0 && !self.pwr.is_boosted() {
-            self.note(Violation::NoBoost);
+        let violation = if megahertz > 150.0 && !self.pwr.is_boosted() {
+            Some(Violation::NoBoost)
         } else if megahertz > limit * f64::from(self.flash.latency() + 1) {
-            self.note(Violation::WaitStates);
-        }
-    }
-
-    fn note(&mut self, violation: Violation) {
-        if !self.violations.contains(&violation) {
-            self.violations.push(violation);
+            Some(Violation::WaitStates)
+        } else {
+            None
+        };
+        let open = self.violations.last_mut().filter(|violated| violated.to.is_none());
+        if open.as_ref().map(|violated| violated.violation) != violation {
+            if let Some(violated) = open {
+                violated.to = Some(seconds(self.now));
+            }
+            let from = seconds(self.now);
+            self.violations.extend(violation.map(|violation| Violated {
+                violation,
+                from,
+                to: None,
+            }));
         }
     }
 
