@@ -362,14 +362,15 @@ impl<S: Scalar> Supervisor<S> {
         if conditions.current_sensors == CurrentSensors::Disagree {
             self.latch(Fault::CurrentSensors);
         }
-        let command = self.drive.step(sample);
-        if let drive::Mode::Faulted(fault) = self.drive.mode() {
-            self.latch(fault);
-        }
+        // Ahead of the drive: what it arms drives in this period.
         self.countdown -= 1;
         if self.countdown == 0 {
             self.countdown = PERIODS;
             self.check(conditions);
+        }
+        let command = self.drive.step(sample);
+        if let drive::Mode::Faulted(fault) = self.drive.mode() {
+            self.latch(fault);
         }
         self.output = match (self.mode, command) {
             (Mode::Running | Mode::Stopping, BridgeCommand::Duty(duty)) => {

@@ -162,18 +162,21 @@ impl Bridge {
     /// Takes a command; it acts from the next trough on. Off acts at once.
     #[inline]
     pub fn apply(&mut self, output: Output<f32>) {
-        let legs = match output {
+        let (u, v) = match output {
             Output::Off => {
                 off();
                 self.is_on = false;
                 self.next = LOW_SIDES;
-                [CHARGE.into(); 2]
+                (CHARGE.into(), CHARGE.into())
             }
-            Output::Charge => [CHARGE.into(); 2],
-            Output::Duty(duty) => modulation::legs(duty, HIGHEST_SHARE).map(compare),
+            Output::Charge => (CHARGE.into(), CHARGE.into()),
+            Output::Duty(duty) => {
+                let [u, v] = modulation::legs(duty, HIGHEST_SHARE);
+                (compare(u), compare(v))
+            }
         };
-        TIM1.ccr(U).write(|w| w.set_ccr(legs[U] as u16));
-        TIM1.ccr(V).write(|w| w.set_ccr(legs[V] as u16));
+        TIM1.ccr(U).write(|w| w.set_ccr(u as u16));
+        TIM1.ccr(V).write(|w| w.set_ccr(v as u16));
         TIM1.ccer().write_value(self.next);
         if let Output::Duty(_) = output {
             self.next = BOTH_SIDES;

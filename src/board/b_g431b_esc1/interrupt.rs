@@ -94,6 +94,9 @@ pub fn set_telemetry(decimation: u32) {
     DECIMATION.store(decimation, Ordering::Relaxed);
 }
 
+/// Periods from one look at the temperature to the next.
+const TEMPERATURE_PERIODS: u32 = 32;
+
 /// What the interrupt works on.
 struct Control {
     supervisor: Supervisor<f32>,
@@ -108,6 +111,8 @@ struct Control {
     since_telemetry: u32,
     /// Whether the last command came too late for its update.
     is_late: bool,
+    /// Of the board, as last looked at (°C).
+    temperature: f32,
 }
 
 /// Hands everything to the interrupt and enables it, with faults that there have been.
@@ -125,6 +130,7 @@ pub(super) fn start(
         cycles: [0; 2],
         since_telemetry: 0,
         is_late: false,
+        temperature: f32::NAN,
         // Last, and so straight to its place: it is large.
         supervisor: super::build(parameters)?,
     };
@@ -159,8 +165,14 @@ impl Control {
         let Counts { reads, shift, is_in_time } = self.encoder.read();
         self.listen();
         let current = self.shunts.read(legs, self.bridge.is_on());
+        let period = PERIODS.load(Ordering::Relaxed).wrapping_add(1);
+        PERIODS.store(period, Ordering::Relaxed);
+        // Nothing else is as slow.
+        if period % TEMPERATURE_PERIODS == 1 {
+            self.temperature = analogue::celsius(temperature);
+        }
         let conditions = Conditions {
-            temperature,
+            temperature: self.temperature,
             current_sensors: self.shunts.state(),
             tripped: self.bridge.has_tripped(),
             overrun: self.is_late || !is_in_time,
@@ -171,9 +183,7 @@ impl Control {
         // The update that these compare values were for has passed.
         self.is_late = bridge::take_update();
 
-        let period = PERIODS.load(Ordering::Relaxed).wrapping_add(1);
-        PERIODS.store(period, Ordering::Relaxed);
-        self.tell(period, output, temperature);
+        self.tell(period, output);
         let [last, longest] = &mut self.cycles;
         *last = DWT::cycle_count().wrapping_sub(start);
         *longest = (*longest).max(*last);
@@ -208,7 +218,7 @@ impl Control {
 
     /// Tells tasks what there is to tell.
     #[inline]
-    fn tell(&mut self, period: u32, output: Output<f32>, temperature: f32) {
+    fn tell(&mut self, period: u32, output: Output<f32>) {
         let status = status_of(&self.supervisor);
         if status != self.status && STATUS.put(status) {
             self.status = status;
@@ -217,13 +227,13 @@ impl Control {
         let decimation = DECIMATION.load(Ordering::Relaxed);
         if decimation > 0 && self.since_telemetry >= decimation {
             self.since_telemetry = 0;
-            self.tell_period(period, output, temperature);
+            self.tell_period(period, output);
         }
     }
 
     #[cold]
     #[inline(never)]
-    fn tell_period(&mut self, period: u32, output: Output<f32>, temperature: f32) {
+    fn tell_period(&mut self, period: u32, output: Output<f32>) {
         let drive = self.supervisor.drive();
         let [current, bus_voltage] = drive.current_and_bus();
         let [reference, voltage, load_torque] = match (drive.telemetry(), output) {
@@ -241,7 +251,7 @@ impl Control {
             voltage,
             bus_voltage,
             load_torque,
-            temperature,
+            temperature: self.temperature,
             interrupt_time,
             longest_interrupt_time,
         });
