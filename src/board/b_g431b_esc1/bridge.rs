@@ -82,7 +82,7 @@ pub struct Bridge {
 /// The share that [`Bridge::apply`] gives a leg, in ticks of the counter.
 fn compare(share: f32) -> u32 {
     // From the top down. `as` takes what rounding left below zero for zero.
-    u32::from(TOP) + 1 - (share * f32::from(TOP) + 0.5) as u32
+    u32::from(TOP) - (share * f32::from(TOP) + 0.5) as u32
 }
 
 /// Ends every output now: the main output enable is cleared, and the pins are low without the core.
