@@ -173,8 +173,9 @@ impl<S: Scalar> ReadyController<S> {
 }
 
 impl<S: Scalar> Drive<S> {
-    #[inline(never)]
     /// Builds a drive, not armed, commanded to stand still. Refuses a configuration outside its range, naming the field.
+    // Not inlined, as others that build what is large: a caller would keep this stack while it calls on.
+    #[inline(never)]
     pub fn new(config: &DriveConfig) -> Result<Self, ConfigError> {
         let DriveConfig { limits, timing, .. } = config;
         let shaft = config.sensors.shaft(timing.period());

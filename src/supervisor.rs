@@ -289,8 +289,9 @@ impl<S: Scalar> Slow<S> {
 }
 
 impl<S: Scalar> Supervisor<S> {
-    #[inline(never)]
     /// Builds a drive and its supervisor. Refuses a configuration outside its range, naming the field.
+    // Not inlined, as others that build what is large: a caller would keep this stack while it calls on.
+    #[inline(never)]
     pub fn new(config: &DriveConfig, protection: &Protection) -> Result<Self, ConfigError> {
         let bases = Bases::new(config)?;
         let squares = bases.current.squared();

@@ -143,19 +143,25 @@ pub(crate) enum Controller<S: Scalar> {
 
 impl<S: Scalar> Controller<S> {
     /// Builds a controller. Refuses gains outside their range, naming the field.
-    // Not inlined: the stack of all four would be taken at once, beside that of a drive.
-    #[inline(never)]
     pub fn new(config: &ControlConfig, setting: &Setting) -> Result<Self, ConfigError> {
         setting.timing.check()?;
         match config {
-            ControlConfig::Paper(config) => Self::apart(|| Ok(Self::Paper(Paper::new(config, setting)?))),
-            ControlConfig::Drive(config) => Self::apart(|| Ok(Self::Drive(DriveForm::new(config, setting)?))),
-            ControlConfig::Pi(config) => Self::apart(|| Ok(Self::Pi(CascadedPi::new(config, setting)?))),
-            ControlConfig::Ladrc(config) => Self::apart(|| Ok(Self::Ladrc(Ladrc::new(config, setting)?))),
+            ControlConfig::Paper(config) => {
+                Self::apart(|| Ok(Self::Paper(Paper::new(config, setting)?)))
+            }
+            ControlConfig::Drive(config) => {
+                Self::apart(|| Ok(Self::Drive(DriveForm::new(config, setting)?)))
+            }
+            ControlConfig::Pi(config) => {
+                Self::apart(|| Ok(Self::Pi(CascadedPi::new(config, setting)?)))
+            }
+            ControlConfig::Ladrc(config) => {
+                Self::apart(|| Ok(Self::Ladrc(Ladrc::new(config, setting)?)))
+            }
         }
     }
 
-    /// Has a stack frame of its own.
+    /// Builds with a stack frame of its own: inlined, that of all four would be taken at once.
     #[inline(never)]
     fn apart(build: impl FnOnce() -> Result<Self, ConfigError>) -> Result<Self, ConfigError> {
         build()

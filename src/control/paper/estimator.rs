@@ -39,9 +39,8 @@ pub(super) struct Estimator<S: Scalar> {
 }
 
 impl<S: Scalar> Estimator<S> {
-    // Not inlined, as others here: stack for what is large would be taken several times over.
-    #[inline(never)]
     /// `speed_range` (rad/s) and `z2_range` (rad/s²) bound the mismatch that each channel remembers.
+    #[inline(never)]
     pub fn new(
         config: &PaperConfig,
         timing: &Timing,

@@ -53,9 +53,7 @@ impl<S: Scalar> Paper<S> {
             // Straight to its place: it is large.
             estimator: match config.law {
                 Law::Backstepping => None,
-                Law::Qsmdo | Law::Qismc => {
-                    Some(Estimator::new(config, timing, ranges, bases)?)
-                }
+                Law::Qsmdo | Law::Qismc => Some(Estimator::new(config, timing, ranges, bases)?),
             },
         })
     }
