@@ -3,6 +3,7 @@
 
 use crate::board::SimulatedBoard;
 use crate::plant::Motor;
+use crate::profile::Load;
 use crate::scenario::{Bridge, LimitsTable, Scenario};
 use crate::scoreboard::motors::Machine;
 use crate::sensors::SensorsTable;
@@ -49,6 +50,7 @@ impl Bench {
     fn new(name: String, motor: Motor, bus: f64, current: f64, no_load: f64, seed: u64) -> Self {
         let mut scenario = Scenario::paper();
         scenario.motor = motor;
+        scenario.load = Load::default();
         scenario.bus.voltage = bus;
         let trip = current / BELOW_TRIP;
         scenario.limits = LimitsTable {
@@ -56,7 +58,7 @@ impl Bench {
             current: trip,
             current_command: Some(current),
             bus_min: 0.6 * bus,
-            bus_max: 1.2 * bus,
+            bus_max: 30.0,
             ..LimitsTable::default()
         };
         // 2048 codes are a fortieth beyond the trip.
