@@ -30,6 +30,8 @@ pub struct Bench {
 pub struct Run {
     /// What the drive found.
     pub findings: Findings,
+    /// x
+    pub debug: [f32; 8],
     /// Time that it took (s).
     pub time: f64,
     /// Largest true current (A), speed (rad/s) and angle from the start (rad).
@@ -181,6 +183,6 @@ impl Bench {
             farthest = farthest.max(angle.abs());
         }
         let findings = commission.findings();
-        Run { findings, time: board.time(), current, speed, angle: farthest, duty }
+        Run { findings, debug: commission.debug, time: board.time(), current, speed, angle: farthest, duty }
     }
 }

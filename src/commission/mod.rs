@@ -81,6 +81,8 @@ pub enum Phase {
     Pulses,
     /// One current from rest.
     Launch,
+    /// To and fro in short windows, to control currents better.
+    Trial,
     /// To and fro in short windows.
     Short,
     /// To and fro in long windows.
@@ -104,6 +106,17 @@ const HIGH_VOLTAGE: f32 = 0.4;
 
 /// The lower level over the higher one.
 const LOW: f32 = 0.45;
+const LOW_MOST: f32 = 0.75;
+
+/// The ripple's amplitude over the highest voltage by Λ, at most: V/(16·L·rate) at a duty of a half, where Λ is up to 1.6 times L·rate, and
+/// some room. Within it the sign of the current says nothing.
+const RIPPLE: f32 = 0.12;
+
+/// Share of the lower level that the current must not leave for a window to count.
+const WITHIN: f32 = 0.5;
+
+/// Λ/R at least: where the pulses show less, this is stable with any armature.
+const LEAST_INDUCTIVE: f32 = 2.5;
 
 /// Share of the speed limit at which the current turns.
 const TURN_SPEED: f32 = 0.4;
@@ -124,7 +137,8 @@ const MOVED: f32 = 4.0;
 /// A back-EMF (as a share of the highest voltage) after this time (s) without counts is a missing encoder.
 const BLIND: (f32, f32) = (0.15, 0.02);
 
-/// Time of the short windows (s), and longest and least of the long ones.
+/// Time of the trial, of the short windows, and longest and least of the long ones (s).
+const TRIAL: f32 = 0.3;
 const SHORT: f32 = 1.2;
 const LONG: f32 = 10.0;
 const LONG_LEAST: f32 = 3.0;
@@ -175,15 +189,22 @@ pub struct Commission {
     first_current: f32,
     noise: f32,
     current: f32,
+    /// Over the last period (A).
+    mean_current: f32,
     speed: f32,
+    /// Periods that the speed is averaged over.
+    averaged: f32,
     angle: f32,
     /// The last command, and the voltage that acts until the next sample (V).
     duty: f32,
     acting: f32,
     pulses: Pulses,
     control: CurrentLoop,
-    /// The higher level of the current (A).
+    /// The levels of the current (A).
     high: f32,
+    low: f32,
+    /// Least current in windows that count (A).
+    least: f32,
     sign: f32,
     /// Angle where it turned last, in the direction of the current (rad).
     back: f32,
@@ -199,6 +220,8 @@ pub struct Commission {
     armature: Fit,
     shaft: Fit,
     fits: Fits,
+    /// x
+    pub debug: [f32; 8],
 }
 
 impl Commission {
@@ -242,13 +265,17 @@ impl Commission {
             first_current: 0.0,
             noise: 0.0,
             current: 0.0,
+            mean_current: 0.0,
             speed: 0.0,
+            averaged: WINDOW.0,
             angle: 0.0,
             duty: 0.0,
             acting: 0.0,
             pulses: Pulses::new(PULSE * limits.current_command),
             control: CurrentLoop::default(),
             high: 0.0,
+            low: 0.0,
+            least: 0.0,
             sign: 1.0,
             back: 0.0,
             turn_speed: TURN_SPEED * limits.speed,
@@ -261,6 +288,7 @@ impl Commission {
             armature: Fit::default(),
             shaft: Fit::default(),
             fits: Fits::default(),
+            debug: [0.0; 8],
         })
     }
 
@@ -294,7 +322,7 @@ impl Commission {
             Phase::Rest => self.rest(&period),
             Phase::Pulses => self.pulse(&period, highest),
             Phase::Launch => self.launch(highest),
-            Phase::Short | Phase::Long => self.swing(&period, highest),
+            Phase::Trial | Phase::Short | Phase::Long => self.swing(&period, highest),
             Phase::Over => Wanted::Off,
         };
         // What was asked for before begins to act now.
@@ -318,11 +346,15 @@ impl Commission {
         let advance = if self.seen { measured.rotation.advance } else { 0.0 };
         self.seen = true;
         let turned = self.turn_sign * self.unit * advance;
-        let period = Period { voltage: self.acting, currents: [self.current, current], turned };
+        let mean = 0.5 * (self.current + current);
+        let driving = mean + self.lag * (self.mean_current - mean);
+        let currents = [self.current, current];
+        let period = Period { voltage: self.acting, currents, turned, driving };
         self.current = current;
+        self.mean_current = mean;
         self.angle += turned;
         self.back = self.back.min(self.sign * self.angle);
-        self.speed += (turned * self.rate - self.speed) / self.window_periods.clamp(WINDOW.0, 64.0);
+        self.speed += (turned * self.rate - self.speed) / self.averaged;
         period
     }
 
@@ -423,24 +455,36 @@ impl Commission {
     /// Levels and windows, from what the pulses showed.
     fn plan(&mut self, highest: f32) {
         let [resistance, lost, _, inductive] = self.pulses.fit.solve([0.0; 4]).values;
-        if !(inductive > 0.0 && inductive.is_finite()) {
+        let known = resistance.max(inductive);
+        if !(known > 0.0 && known.is_finite()) {
             self.stop(Reason::Unexplained);
             return;
         }
-        let resistance = resistance.max(1e-3 * inductive).min(inductive);
-        let limit = self.limits.current_command;
-        self.high = (HIGH * limit).min((HIGH_VOLTAGE * highest - lost) / resistance);
+        // Rough as they are, R below Λ/1000 or above what leaves an inductance would be too much.
+        let inductive = inductive.max(LEAST_INDUCTIVE * resistance);
+        self.tune(resistance.max(1e-3 * inductive), lost, inductive, LOW_MOST, highest);
+        let counted = WINDOW_COUNTS * self.grain * self.rate / self.turn_speed;
+        self.averaged = counted.max(WINDOW.0).min(4.0 * WINDOW.0);
+        self.back = 0.0;
         if self.high < 0.5 * SIGNAL * self.noise {
             self.stop(Reason::NoisyCurrent);
-            return;
+        } else {
+            self.enter(Phase::Launch);
         }
-        let slew = (self.high / 12.0).min(SLEW * highest / inductive);
-        self.control = CurrentLoop { resistance, inductive, slew, ..CurrentLoop::default() };
-        let counted = WINDOW_COUNTS * self.grain * self.rate / self.turn_speed;
+    }
+
+    /// The current's control, its levels and short windows for an armature.
+    fn tune(&mut self, resistance: f32, lost: f32, inductive: f32, low: f32, highest: f32) {
+        let limit = self.limits.current_command;
+        self.high = (HIGH * limit).min((HIGH_VOLTAGE * highest - lost) / resistance);
+        let ripple = RIPPLE * highest / inductive;
+        self.low = (low * self.high).max(1.3 * ripple).min(LOW_MOST * self.high);
+        self.least = (WITHIN * self.low).max(ripple).min(0.8 * self.low);
+        self.control.resistance = resistance;
+        self.control.inductive = inductive;
+        self.control.slew = (self.high / 12.0).min(SLEW * highest / inductive);
         let electrical = 0.6 * inductive / resistance;
-        self.window_periods = counted.max(electrical).max(WINDOW.0).min(0.25 * WINDOW.1);
-        self.back = 0.0;
-        self.enter(Phase::Launch);
+        self.window_periods = electrical.max(WINDOW.0).min(0.25 * WINDOW.1);
     }
 
     fn launch(&mut self, highest: f32) -> Wanted {
@@ -460,6 +504,7 @@ impl Commission {
     }
 
     fn launched(&mut self, moved: f32, time: f32) {
+        self.debug[0] = self.elapsed as f32; self.debug[1] = self.speed; self.debug[2] = self.control.voltage; self.debug[3] = moved / self.grain;
         let is_turning = self.speed.abs() * time > 0.5 * moved && moved > MOVED * self.grain;
         if is_turning {
             if self.angle < 0.0 {
@@ -471,14 +516,14 @@ impl Commission {
             self.launch = self.elapsed as f32;
             let reached = self.speed.min(self.turn_speed);
             let near = reached * (WINDOWS * self.window_periods / self.launch).min(1.0);
-            let resolved = 0.5 * WINDOW_COUNTS * self.grain * self.rate / self.window_periods;
+            let resolved = 0.5 * WINDOW_COUNTS * self.grain * self.rate / self.averaged;
             self.turn_speed = near.max(resolved).min(reached);
             self.fits.turn_speed = reached;
         } else {
             self.fits.unseen = Some(Reason::Blocked);
         }
         self.turn();
-        self.enter(Phase::Short);
+        self.enter(Phase::Trial);
     }
 
     /// The current the other way.
@@ -494,13 +539,12 @@ impl Commission {
             self.end_window(highest);
         }
         // Two windows at each level: one has the step in it, the other has not.
-        let level = if self.windows & 2 == 0 { self.high } else { LOW * self.high };
+        let level = if self.windows & 2 == 0 { self.high } else { self.low };
         if self.phase == Phase::Over { Wanted::Off } else { Wanted::Current(self.sign * level) }
     }
 
     fn end_window(&mut self, highest: f32) {
-        let least = 0.5 * LOW * self.high;
-        let row = self.window.armature(least, self.sign, self.period, self.lag, &self.before);
+        let row = self.window.armature(self.least, self.sign, self.period, self.lag, &self.before);
         if let Some((x, y)) = row {
             self.armature.add(x, y);
         }
@@ -522,6 +566,7 @@ impl Commission {
         }
         let time = self.elapsed as f32 * self.period;
         match self.phase {
+            Phase::Trial if time >= TRIAL => self.end_trial(highest),
             Phase::Short if time >= SHORT => self.end_short(blocked),
             // At rest, or nearly.
             Phase::Long if time >= LONG || (time >= self.long_time() && turned_back) => {
@@ -537,14 +582,28 @@ impl Commission {
         (50.0 * self.launch * self.period).max(LONG_LEAST).min(0.95 * LONG)
     }
 
+    fn end_trial(&mut self, highest: f32) {
+        let fit::Solution { values, deviations } = self.solved();
+        let [resistance, lost, _, inductive] = values;
+        if deviations[0] < 0.2 * resistance
+            && deviations[3] < 0.2 * inductive
+            && inductive > resistance
+        {
+            self.tune(resistance, lost, inductive, LOW, highest);
+        }
+        self.enter(Phase::Short);
+    }
+
     fn end_short(&mut self, blocked: bool) {
         self.fits.short = Some(self.solved());
+
+
         if blocked {
             self.phase = Phase::Over;
             return;
         }
         self.window_periods =
-            (self.launch / WINDOWS).max(self.window_periods).min(WINDOW.1);
+            (self.launch / WINDOWS).max(self.window_periods).max(self.averaged).min(WINDOW.1);
         self.turn_speed = self.fits.turn_speed;
         self.enter(Phase::Long);
     }

@@ -63,7 +63,9 @@ pub(super) struct Pulses {
     /// Current at which the voltage stops growing (A).
     enough: f32,
     window: Window,
-    /// For R, V0 and Λ.
+    /// Current times periods since the first pulse (A).
+    charge: f32,
+    /// For R, V0, h·Kb²/J and Λ.
     pub fit: Fit,
     /// Whether the current was seen to flow against the voltage.
     pub is_reversed: bool,
@@ -80,6 +82,7 @@ impl Pulses {
             magnitude: 0.0,
             enough,
             window: Window::default(),
+            charge: 0.0,
             fit: Fit::default(),
             is_reversed: false,
         }
@@ -88,8 +91,10 @@ impl Pulses {
     /// Largest current that is taken for none is `least` (A).
     pub(super) fn step(&mut self, period: &Period, highest: f32, least: f32) -> Pulsed {
         let current = period.currents[1].abs();
+        // A shaft that is free turns as much, and an encoder's few counts would be too coarse.
+        self.charge += period.driving;
         if self.sign * period.currents[0] >= COUNTS_FROM * self.enough {
-            self.window.add(period, self.sign);
+            self.window.add(&Period { turned: self.charge, ..*period }, self.sign);
         }
         self.periods += 1;
         match self.stage {
@@ -137,8 +142,8 @@ impl Pulses {
     fn enter(&mut self, stage: Stage) {
         let least = 0.5 * COUNTS_FROM * self.enough;
         let row = self.window.armature(least, self.sign, 1.0, 0.0, &Window::default());
-        if let Some(([current, sign, _, change], voltage)) = row {
-            self.fit.add([current, sign, 0.0, change], voltage);
+        if let Some((x, y)) = row {
+            self.fit.add(x, y);
         }
         self.window = Window::default();
         self.stage = stage;

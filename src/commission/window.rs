@@ -24,8 +24,9 @@ pub(super) struct Period {
     pub voltage: f32,
     /// Current at its start and end (A).
     pub currents: [f32; 2],
-    /// What the shaft turned (rad).
+    /// What the shaft turned between the encoder's reads (rad), and the mean current between them (A).
     pub turned: f32,
+    pub driving: f32,
 }
 
 /// A sum, and the same with weights that fall from n − ½ to ½ over a window.
@@ -53,8 +54,8 @@ pub(super) struct Window {
     voltage: f32,
     /// Of the currents at the periods' starts.
     current: f32,
-    /// Of their means.
-    mean_current: Weighted,
+    /// Of the mean currents between the encoder's reads.
+    driving: Weighted,
     turned: Weighted,
     /// The first and the last current (A).
     ends: [f32; 2],
@@ -75,7 +76,7 @@ impl Window {
         self.periods += 1.0;
         self.voltage += period.voltage;
         self.current += start;
-        self.mean_current.add(0.5 * (start + end));
+        self.driving.add(period.driving);
         self.turned.add(period.turned);
     }
 
@@ -108,7 +109,7 @@ impl Window {
     }
 
     /// The shaft's row for Kb/J, −b/J, −T_c/J and −T_l/J, with the window before, which must be as long. Nothing where the shaft
-    /// turned back: then friction changed its sign within.
+    /// may have turned back within, since friction changed its sign then: slower than it gained speed.
     pub(super) fn shaft(
         &self,
         before: &Self,
@@ -117,7 +118,8 @@ impl Window {
     ) -> Option<([f32; UNKNOWNS], f32)> {
         let [first, second] = [before.turned.plain, self.turned.plain];
         let sign = if second > 0.0 { 1.0 } else { -1.0 };
-        let onward = sign * first > least_turned && sign * second > least_turned;
+        let least = (second - first).abs().max(least_turned);
+        let onward = sign * first > least && sign * second > least;
         if !onward || before.periods != self.periods {
             return None;
         }
@@ -125,7 +127,7 @@ impl Window {
         let tip = |before: &Weighted, now: &Weighted| {
             per * (before.rising(self.periods) + now.falling)
         };
-        let current = tip(&before.mean_current, &self.mean_current);
+        let current = tip(&before.driving, &self.driving);
         let speed = tip(&before.turned, &self.turned) / period;
         Some(([current, speed, sign, 1.0], per * (second - first) / (period * period)))
     }
