@@ -189,8 +189,8 @@ pub struct Commission {
     first_current: f32,
     noise: f32,
     current: f32,
-    /// Over the last period (A).
-    mean_current: f32,
+    /// The period that ended with the last sample.
+    last: Period,
     speed: f32,
     /// Periods that the speed is averaged over.
     averaged: f32,
@@ -265,7 +265,7 @@ impl Commission {
             first_current: 0.0,
             noise: 0.0,
             current: 0.0,
-            mean_current: 0.0,
+            last: Period::default(),
             speed: 0.0,
             averaged: WINDOW.0,
             angle: 0.0,
@@ -313,13 +313,13 @@ impl Commission {
             return self.stop(Reason::BadSample);
         };
         let period = self.take(&measured);
-        if let Err(reason) = self.limits_hold(&measured, &period) {
+        if let Err(reason) = self.limits_hold(&measured) {
             return self.stop(reason);
         }
         let highest = self.limits.duty * measured.bus_voltage;
         self.elapsed += 1;
         let wanted = match self.phase {
-            Phase::Rest => self.rest(&period),
+            Phase::Rest => self.rest(),
             Phase::Pulses => self.pulse(&period, highest),
             Phase::Launch => self.launch(highest),
             Phase::Trial | Phase::Short | Phase::Long => self.swing(&period, highest),
@@ -339,26 +339,25 @@ impl Commission {
         BridgeCommand::Duty(self.duty)
     }
 
-    /// Takes a sample in: gives the period that ends with it.
+    /// Takes a sample in: gives the period before the one that ends with it.
     fn take(&mut self, measured: &Measured<f32>) -> Period {
         let current = self.current_sign * (measured.current - self.offset);
         // The first difference of counts is one to nothing.
         let advance = if self.seen { measured.rotation.advance } else { 0.0 };
         self.seen = true;
         let turned = self.turn_sign * self.unit * advance;
-        let mean = 0.5 * (self.current + current);
-        let driving = mean + self.lag * (self.mean_current - mean);
         let currents = [self.current, current];
-        let period = Period { voltage: self.acting, currents, turned, driving };
+        let last = Period { voltage: self.acting, currents, turned };
+        let before = core::mem::replace(&mut self.last, last);
         self.current = current;
-        self.mean_current = mean;
         self.angle += turned;
         self.back = self.back.min(self.sign * self.angle);
         self.speed += (turned * self.rate - self.speed) / self.averaged;
-        period
+        // The encoder's reads lie before the current's: where it was then, this sample and the last one tell.
+        Period { turned: before.turned + self.lag * (turned - before.turned), ..before }
     }
 
-    fn limits_hold(&self, measured: &Measured<f32>, period: &Period) -> Result<(), Reason> {
+    fn limits_hold(&self, measured: &Measured<f32>) -> Result<(), Reason> {
         let Limits { speed, current_command, bus_min, bus_max, .. } = self.limits;
         // Not the other way round: a NaN holds no limit.
         let finite = [measured.current, measured.bus_voltage, measured.rotation.advance];
@@ -368,7 +367,7 @@ impl Commission {
             Err(Reason::BusVoltage)
         } else if self.current.abs() > current_command {
             Err(Reason::Overcurrent)
-        } else if period.turned.abs() > 2.0 * (speed * self.period + self.grain) {
+        } else if self.last.turned.abs() > 2.0 * (speed * self.period + self.grain) {
             Err(Reason::EncoderJump)
         } else if self.speed.abs() > speed {
             Err(Reason::Overspeed)
@@ -400,8 +399,8 @@ impl Commission {
     }
 
     /// Outputs off: what the sensors show of nothing.
-    fn rest(&mut self, period: &Period) -> Wanted {
-        let current = period.currents[1];
+    fn rest(&mut self) -> Wanted {
+        let current = self.current;
         if self.elapsed == 1 {
             self.first_current = current;
         }
@@ -433,11 +432,12 @@ impl Commission {
 
     fn pulse(&mut self, period: &Period, highest: f32) -> Wanted {
         let least = PULSE * SIGNAL * self.noise;
-        match self.pulses.step(period, highest, least) {
+        match self.pulses.step(period, self.current, highest, least) {
             Pulsed::Voltage(voltage) => {
                 if core::mem::take(&mut self.pulses.is_reversed) {
                     self.current_sign = -self.current_sign;
                     self.current = -self.current;
+                    self.last.currents = self.last.currents.map(|current| -current);
                 }
                 Wanted::Voltage(voltage)
             }
@@ -460,6 +460,7 @@ impl Commission {
             self.stop(Reason::Unexplained);
             return;
         }
+        self.debug[4] = resistance; self.debug[5] = inductive; self.debug[6] = lost;
         // Rough as they are, R below Λ/1000 or above what leaves an inductance would be too much.
         let inductive = inductive.max(LEAST_INDUCTIVE * resistance);
         self.tune(resistance.max(1e-3 * inductive), lost, inductive, LOW_MOST, highest);
@@ -544,7 +545,7 @@ impl Commission {
     }
 
     fn end_window(&mut self, highest: f32) {
-        let row = self.window.armature(self.least, self.sign, self.period, self.lag, &self.before);
+        let row = self.window.armature(self.least, self.sign, self.period);
         if let Some((x, y)) = row {
             self.armature.add(x, y);
         }

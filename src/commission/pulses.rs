@@ -88,12 +88,19 @@ impl Pulses {
         }
     }
 
-    /// Largest current that is taken for none is `least` (A).
-    pub(super) fn step(&mut self, period: &Period, highest: f32, least: f32) -> Pulsed {
-        let current = period.currents[1].abs();
+    /// A period, and the current since (A). Less than `least` is taken for none.
+    pub(super) fn step(
+        &mut self,
+        period: &Period,
+        now: f32,
+        highest: f32,
+        least: f32,
+    ) -> Pulsed {
+        let current = now.abs();
         // A shaft that is free turns as much, and an encoder's few counts would be too coarse.
-        self.charge += period.driving;
-        if self.sign * period.currents[0] >= COUNTS_FROM * self.enough {
+        self.charge += 0.5 * (period.currents[0] + period.currents[1]);
+        let counts = self.sign * period.currents[0] >= COUNTS_FROM * self.enough;
+        if counts && self.stage != Stage::Pause {
             self.window.add(&Period { turned: self.charge, ..*period }, self.sign);
         }
         self.periods += 1;
@@ -112,7 +119,7 @@ impl Pulses {
                     self.enough = current;
                 }
                 if current >= self.enough {
-                    self.is_reversed = self.sign * period.currents[1] < 0.0;
+                    self.is_reversed = self.sign * now < 0.0;
                     self.enter(Stage::Hold);
                 }
             }
@@ -141,7 +148,7 @@ impl Pulses {
 
     fn enter(&mut self, stage: Stage) {
         let least = 0.5 * COUNTS_FROM * self.enough;
-        let row = self.window.armature(least, self.sign, 1.0, 0.0, &Window::default());
+        let row = self.window.armature(least, self.sign, 1.0);
         if let Some((x, y)) = row {
             self.fit.add(x, y);
         }

@@ -18,15 +18,14 @@
 use super::fit::UNKNOWNS;
 
 /// A period between two samples.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Period {
     /// Armature voltage that acted (V).
     pub voltage: f32,
     /// Current at its start and end (A).
     pub currents: [f32; 2],
-    /// What the shaft turned between the encoder's reads (rad), and the mean current between them (A).
+    /// What the shaft turned (rad).
     pub turned: f32,
-    pub driving: f32,
 }
 
 /// A sum, and the same with weights that fall from n − ½ to ½ over a window.
@@ -54,8 +53,8 @@ pub(super) struct Window {
     voltage: f32,
     /// Of the currents at the periods' starts.
     current: f32,
-    /// Of the mean currents between the encoder's reads.
-    driving: Weighted,
+    /// Of their means.
+    mean_current: Weighted,
     turned: Weighted,
     /// The first and the last current (A).
     ends: [f32; 2],
@@ -76,7 +75,7 @@ impl Window {
         self.periods += 1.0;
         self.voltage += period.voltage;
         self.current += start;
-        self.driving.add(period.driving);
+        self.mean_current.add(0.5 * (start + end));
         self.turned.add(period.turned);
     }
 
@@ -86,25 +85,19 @@ impl Window {
     }
 
     /// The armature's row for R, V0, Kb and Λ, as means over the window. Nothing if the current was less than `least` at some
-    /// time, where the voltage lost is not that of the sign. `lag` is how much the encoder's reads lie behind the current's, in
-    /// periods, and `before` the window before, if it is there.
+    /// time, where the voltage lost is not that of the sign.
     pub(super) fn armature(
         &self,
         least: f32,
         sign: f32,
         period: f32,
-        lag: f32,
-        before: &Self,
     ) -> Option<([f32; UNKNOWNS], f32)> {
         if self.least < least || self.periods == 0.0 {
             return None;
         }
         let per = 1.0 / self.periods;
-        let speed = self.turned.plain * per;
-        let gained =
-            if before.periods > 0.0 { speed - before.turned.plain / before.periods } else { 0.0 };
-        let speed = (speed + gained * lag * per) / period;
         let [first, last] = self.ends;
+        let speed = self.turned.plain * per / period;
         Some(([self.current * per, sign, speed, (last - first) * per], self.voltage * per))
     }
 
@@ -127,7 +120,7 @@ impl Window {
         let tip = |before: &Weighted, now: &Weighted| {
             per * (before.rising(self.periods) + now.falling)
         };
-        let current = tip(&before.driving, &self.driving);
+        let current = tip(&before.mean_current, &self.mean_current);
         let speed = tip(&before.turned, &self.turned) / period;
         Some(([current, speed, sign, 1.0], per * (second - first) / (period * period)))
     }
