@@ -3,11 +3,13 @@
 
 use crate::board::SimulatedBoard;
 use crate::plant::Motor;
-use crate::profile::Load;
+use crate::profile::{Load, Step};
 use crate::scenario::{Bridge, LimitsTable, Scenario};
 use crate::scoreboard::motors::Machine;
 use crate::sensors::SensorsTable;
+use quasidrive::commission::tuning::Known;
 use quasidrive::commission::{Commission, CommissionConfig, Findings, Phase};
+use quasidrive::drive::{Drive, DriveConfig, Mode};
 use quasidrive::hal::{Board, BridgeCommand, Sample};
 use quasidrive::per_unit::Bases;
 use rand::rngs::StdRng;
@@ -30,8 +32,6 @@ pub struct Bench {
 pub struct Run {
     /// What the drive found.
     pub findings: Findings,
-    /// x
-    pub debug: [f32; 8],
     /// Time that it took (s).
     pub time: f64,
     /// Largest true current (A), speed (rad/s) and angle from the start (rad).
@@ -43,6 +43,13 @@ pub struct Run {
     /// Largest duty that was commanded.
     pub duty: f64,
 }
+
+/// Speeds of the load steps over the speed without load, and when (s) the drive is armed, is steady, gets the load, and is done.
+const DIP_SPEEDS: [f64; 4] = [0.11, 0.19, 0.27, 0.37];
+const DIP_ARMED: f64 = 0.02;
+const DIP_STEADY: f64 = 0.1;
+const DIP_STEP: f64 = 0.18;
+const DIP_END: f64 = 0.23;
 
 /// Current limit over the one that a bridge trips at.
 const BELOW_TRIP: f64 = 0.8;
@@ -159,13 +166,26 @@ impl Bench {
         }
     }
 
-    /// Commissions the motor. `meddle` may change each period's sample, and abort.
-    pub fn run(&self, mut meddle: impl FnMut(&mut Commission, &mut Sample<f32>)) -> Run {
-        #[expect(clippy::expect_used, reason = "a bench's own limits")]
-        let mut commission = Commission::new(&self.config()).expect("valid");
+    fn board(&self) -> SimulatedBoard<f32> {
         #[expect(clippy::expect_used, reason = "a bench's own scenario")]
         let bases = Bases::new(&self.scenario.drive_config()).expect("valid");
-        let mut board = SimulatedBoard::<f32>::new(&self.scenario, bases);
+        SimulatedBoard::new(&self.scenario, bases)
+    }
+
+    /// Commissions the motor.
+    pub fn run(&self) -> Run {
+        self.run_with(&self.config(), |_, _| {})
+    }
+
+    /// The same with another configuration; `meddle` may change each period's sample, and abort.
+    pub fn run_with(
+        &self,
+        config: &CommissionConfig,
+        mut meddle: impl FnMut(&mut Commission, &mut Sample<f32>),
+    ) -> Run {
+        #[expect(clippy::expect_used, reason = "a bench's own limits")]
+        let mut commission = Commission::new(config).expect("valid");
+        let mut board = self.board();
         let [mut current, mut speed, mut farthest, mut duty, mut angle] = [0.0_f64; 5];
         while commission.phase() != Phase::Over {
             let mut sample = board.sample();
@@ -183,6 +203,60 @@ impl Bench {
             farthest = farthest.max(angle.abs());
         }
         let findings = commission.findings();
-        Run { findings, debug: commission.debug, time: board.time(), current, speed, angle: farthest, duty }
+        Run { findings, time: board.time(), current, speed, angle: farthest, duty }
+    }
+
+    /// What a drive would be tuned from that knew the truth.
+    pub fn truth(&self, findings: &Findings) -> Known {
+        let drive = self.scenario.drive_config();
+        Known {
+            motor: drive.motor,
+            voltage_drop: self.voltage_drop() as f32,
+            current_noise: findings.current_noise,
+            bus_voltage: self.scenario.bus.voltage as f32,
+            sensors: drive.sensors,
+        }
+    }
+
+    /// Voltage that brushes and dead time take (V).
+    pub fn voltage_drop(&self) -> f64 {
+        let Scenario { bridge, bus, timing, .. } = &self.scenario;
+        bridge.brush_drop + 2.0 * bridge.dead_time * timing.rate * bus.voltage
+    }
+
+    /// How far (rad/s) a drive lets the speed dip after a step of the load by a quarter of its largest torque, over several speeds.
+    /// Nothing if the drive is refused or stops.
+    pub fn dip(&self, config: &DriveConfig) -> Option<f64> {
+        let dips = DIP_SPEEDS.map(|share| self.dip_at(config, share));
+        dips.into_iter().try_fold(0.0, |sum, dip| Some(sum + dip? / dips.len() as f64))
+    }
+
+    fn dip_at(&self, config: &DriveConfig, share: f64) -> Option<f64> {
+        let mut bench = self.clone();
+        let motor = bench.scenario.motor;
+        let speed = share * bench.scenario.bus.voltage / motor.back_emf_constant;
+        let torque = motor.back_emf_constant * f64::from(config.limits.current_command);
+        bench.scenario.initial.speed = speed;
+        bench.scenario.load.steps = vec![Step { time: DIP_STEP, value: 0.25 * torque }];
+        let mut drive = Drive::<f32>::new(config).ok()?;
+        let mut board = bench.board();
+        drive.set_speed(speed as f32).ok()?;
+        let (mut before, mut samples, mut lowest) = (0.0, 0.0, f64::INFINITY);
+        while board.time() < DIP_END {
+            if board.time() >= DIP_ARMED {
+                drive.arm().ok()?;
+            }
+            drive.run_period(&mut board);
+            let speed = board.state().speed;
+            match board.time() {
+                DIP_STEADY..DIP_STEP => {
+                    before += speed;
+                    samples += 1.0;
+                }
+                DIP_STEP.. => lowest = lowest.min(speed),
+                _ => {}
+            }
+        }
+        (drive.mode() == Mode::Running).then_some(before / samples - lowest)
     }
 }

@@ -77,6 +77,8 @@ pub enum Reason {
 pub struct Findings {
     /// Why it ended early, if it did.
     pub stopped: Option<Reason>,
+    /// Bus voltage with outputs off (V).
+    pub bus_voltage: f32,
     /// Current that the sensor shows at none (A), beyond what its calibration has.
     pub current_offset: f32,
     /// Noise of the current with outputs off, rounding included (A rms).

@@ -26,11 +26,12 @@
 //! [`Commission::step`] takes the place of the drive's. `Off`, `Stop`, lost commands and every fault call [`Commission::abort`] and take
 //! outputs off at once; over, it goes to `Ready` with outputs off, and the [findings](Commission::findings) are there to be read until the
 //! next start. Heat and temperature are watched as ever, the hardware's own trip too. Samples in codes are the same whatever the drive
-//! computes in. Between two periods `tuned` makes a configuration of the findings, which is saved like any other, on request.
+//! computes in. Between two periods [`tuning::Known::tuned`] makes a configuration of the findings, which is saved like any other, on request.
 
 mod findings;
 mod fit;
 mod pulses;
+pub mod tuning;
 mod window;
 
 pub use findings::{Findings, Reason, Value};
@@ -184,10 +185,11 @@ pub struct Commission {
     current_sign: f32,
     turn_sign: f32,
     offset: f32,
-    /// Of the current: sums at rest, then its standard deviation (A).
-    sums: [f32; 2],
+    /// Sums at rest: of the current, its square, and the bus voltage; then the noise of the current (A).
+    sums: [f32; 3],
     first_current: f32,
     noise: f32,
+    bus_voltage: f32,
     current: f32,
     /// The period that ended with the last sample.
     last: Period,
@@ -220,8 +222,6 @@ pub struct Commission {
     armature: Fit,
     shaft: Fit,
     fits: Fits,
-    /// x
-    pub debug: [f32; 8],
 }
 
 impl Commission {
@@ -261,9 +261,10 @@ impl Commission {
             current_sign: 1.0,
             turn_sign: 1.0,
             offset: 0.0,
-            sums: [0.0; 2],
+            sums: [0.0; 3],
             first_current: 0.0,
             noise: 0.0,
+            bus_voltage: 0.0,
             current: 0.0,
             last: Period::default(),
             speed: 0.0,
@@ -288,7 +289,6 @@ impl Commission {
             armature: Fit::default(),
             shaft: Fit::default(),
             fits: Fits::default(),
-            debug: [0.0; 8],
         })
     }
 
@@ -319,7 +319,7 @@ impl Commission {
         let highest = self.limits.duty * measured.bus_voltage;
         self.elapsed += 1;
         let wanted = match self.phase {
-            Phase::Rest => self.rest(),
+            Phase::Rest => self.rest(measured.bus_voltage),
             Phase::Pulses => self.pulse(&period, highest),
             Phase::Launch => self.launch(highest),
             Phase::Trial | Phase::Short | Phase::Long => self.swing(&period, highest),
@@ -399,7 +399,7 @@ impl Commission {
     }
 
     /// Outputs off: what the sensors show of nothing.
-    fn rest(&mut self) -> Wanted {
+    fn rest(&mut self, bus_voltage: f32) -> Wanted {
         let current = self.current;
         if self.elapsed == 1 {
             self.first_current = current;
@@ -407,13 +407,15 @@ impl Commission {
         let difference = current - self.first_current;
         self.sums[0] += difference;
         self.sums[1] += difference * difference;
+        self.sums[2] += bus_voltage;
         if self.angle.abs() > MOVED * self.grain.max(1e-3) {
             self.stop(Reason::Turning);
         }
         if self.elapsed < REST {
             return Wanted::Off;
         }
-        let [mean, square] = self.sums.map(|sum| sum / REST as f32);
+        let [mean, square, bus_voltage] = self.sums.map(|sum| sum / REST as f32);
+        self.bus_voltage = bus_voltage;
         self.offset = self.first_current + mean;
         // What noise there is within a code does not show.
         let rounding = self.resolution * self.resolution / 12.0;
@@ -460,7 +462,6 @@ impl Commission {
             self.stop(Reason::Unexplained);
             return;
         }
-        self.debug[4] = resistance; self.debug[5] = inductive; self.debug[6] = lost;
         // Rough as they are, R below Λ/1000 or above what leaves an inductance would be too much.
         let inductive = inductive.max(LEAST_INDUCTIVE * resistance);
         self.tune(resistance.max(1e-3 * inductive), lost, inductive, LOW_MOST, highest);
@@ -505,7 +506,6 @@ impl Commission {
     }
 
     fn launched(&mut self, moved: f32, time: f32) {
-        self.debug[0] = self.elapsed as f32; self.debug[1] = self.speed; self.debug[2] = self.control.voltage; self.debug[3] = moved / self.grain;
         let is_turning = self.speed.abs() * time > 0.5 * moved && moved > MOVED * self.grain;
         if is_turning {
             if self.angle < 0.0 {
@@ -624,6 +624,7 @@ impl Commission {
         let [viscous_friction, coulomb_friction, load_torque] = values.torques;
         Findings {
             stopped: self.stopped,
+            bus_voltage: self.bus_voltage,
             current_offset: self.offset,
             current_noise: self.noise,
             current_reversed: self.current_sign < 0.0,
