@@ -79,6 +79,8 @@ impl Bench {
             ..SensorsTable::default()
         });
         scenario.bridge = Bridge {
+            // 170 MHz, up and down.
+            duty_steps: 4250,
             dead_time: 0.8e-6,
             // That of a duty of a quarter, half of it to either side.
             ripple: bus / 16.0 / motor.inductance / scenario.timing.rate,
@@ -121,6 +123,7 @@ impl Bench {
         let voltage = *[12.0, 24.0, 36.0, 48.0].choose(&mut random).unwrap_or(&24.0);
         let counts = *[512, 1024, 2048, 4096, 8192, 16384].choose(&mut random).unwrap_or(&4096);
         let edge_error = random.random_range(0.0..0.08);
+        let [offset, load, sag] = [-5.0..5.0, -0.2..0.2, 0.0..0.02].map(|range| random.random_range(range));
         let rated = power / (0.8 * voltage);
         let back_emf = 0.95 * voltage / no_load;
         let resistance = voltage / (stall * rated);
@@ -146,9 +149,13 @@ impl Bench {
             Self::new(name, motor, bus, current, no_load * bus / voltage, random.random());
         bench.scenario.bridge.dead_time = dead_time;
         bench.scenario.bridge.brush_drop = brushes * voltage;
+        bench.scenario.bus.resistance = sag * bus / current;
+        // More than friction holds would turn the shaft.
+        bench.scenario.load.constant = load * motor.coulomb_friction;
         if let Some(sensors) = &mut bench.scenario.sensors {
             sensors.counts_per_turn = counts;
             sensors.edge_error = edge_error;
+            sensors.current_offset = offset * sensors.current_resolution;
             sensors.current_noise = noise * sensors.current_resolution;
         }
         bench

@@ -27,7 +27,7 @@ impl Value {
 
     /// Of a value that may be zero, with the uncertainty of something of which it is a part.
     fn any(value: f32, deviation: f32, share: f32) -> Result<Self, Reason> {
-        let uncertainty = 2.0 * deviation + share * value.abs();
+        let uncertainty = 3.0 * deviation + share * value.abs();
         let known = uncertainty.is_finite() && value.is_finite();
         if known { Ok(Self { value, uncertainty }) } else { Err(Reason::Imprecise) }
     }
