@@ -66,6 +66,8 @@ pub enum Reason {
     Blocked,
     /// There was a back-EMF, but the encoder did not count.
     EncoderMissing,
+    /// At the least current that its sensor shows the shaft would be beyond the limits of speed or travel before it could be turned back.
+    TooQuick,
     /// The interval is wider than half the value: too short a travel, too low a speed or current limit, too coarse an encoder.
     Imprecise,
     /// Kb is not within a third of what the nameplate says: wrong counts per turn, or another motor.

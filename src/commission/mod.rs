@@ -101,6 +101,9 @@ const SIGNAL: f32 = 60.0;
 /// Share of the current limit in pulses. They may go to three times that.
 const PULSE: f32 = 0.25;
 
+/// Share of the limits of speed and travel above which pulses do not grow.
+const QUIET: f32 = 0.1;
+
 /// Share of the current limit that is the higher level, and share of the highest voltage that it may take at rest.
 const HIGH: f32 = 0.75;
 const HIGH_VOLTAGE: f32 = 0.4;
@@ -129,8 +132,15 @@ const TURN_TRAVEL: f32 = 0.6;
 /// Share of the highest voltage that may go into the inductance.
 const SLEW: f32 = 0.2;
 
-/// Longest launch (s).
-const LAUNCH: f32 = 1.0;
+/// Time in which the launch's current grows to the higher level, and its longest time (s).
+const RAMP: f32 = 0.4;
+const LAUNCH: f32 = 1.5;
+
+/// Share of the current that first turned the shaft that friction goes on to take.
+const FRICTION: f32 = 0.8;
+
+/// Periods that a current takes to turn.
+const TURN: f32 = 20.0;
 
 /// Counts that the shaft must turn in it.
 const MOVED: f32 = 4.0;
@@ -202,7 +212,8 @@ pub struct Commission {
     acting: f32,
     pulses: Pulses,
     control: CurrentLoop,
-    /// The levels of the current (A).
+    /// The levels of the current (A), and what the higher one is at most.
+    most: f32,
     high: f32,
     low: f32,
     /// Least current in windows that count (A).
@@ -217,8 +228,9 @@ pub struct Commission {
     /// Windows since the current turned, and in this phase.
     windows: u32,
     all_windows: u32,
-    /// Periods that the launch took.
-    launch: f32,
+    launch: Launch,
+    /// Periods from rest to turning.
+    ramp: f32,
     armature: Fit,
     shaft: Fit,
     fits: Fits,
@@ -239,6 +251,9 @@ impl Commission {
         let period = timing.period();
         let sensing = Sensing::new(&sensors, &limits, timing.rate, &Bases::NONE)?;
         let shaft = sensors.shaft(period);
+        let turn_speed = TURN_SPEED * limits.speed;
+        let grain = shaft.unit.abs() * shaft.grain;
+        let counted = WINDOW_COUNTS * grain * timing.rate / turn_speed;
         let resolution = match sensors {
             Sensors::Exact => 0.0,
             Sensors::Codes(calibration) => calibration.current_per_code.abs(),
@@ -254,7 +269,7 @@ impl Commission {
             period,
             rate: timing.rate,
             unit: shaft.unit,
-            grain: shaft.unit.abs() * shaft.grain,
+            grain,
             lag: shaft.age * timing.rate,
             resolution,
             seen: false,
@@ -268,24 +283,26 @@ impl Commission {
             current: 0.0,
             last: Period::default(),
             speed: 0.0,
-            averaged: WINDOW.0,
+            averaged: counted.max(WINDOW.0).min(4.0 * WINDOW.0),
             angle: 0.0,
             duty: 0.0,
             acting: 0.0,
             pulses: Pulses::new(PULSE * limits.current_command),
             control: CurrentLoop::default(),
+            most: HIGH * limits.current_command,
             high: 0.0,
             low: 0.0,
             least: 0.0,
             sign: 1.0,
             back: 0.0,
-            turn_speed: TURN_SPEED * limits.speed,
+            turn_speed,
             window: Window::default(),
             before: Window::default(),
             window_periods: 0.0,
             windows: 0,
             all_windows: 0,
-            launch: 0.0,
+            launch: Launch::default(),
+            ramp: 0.0,
             armature: Fit::default(),
             shaft: Fit::default(),
             fits: Fits::default(),
@@ -321,7 +338,7 @@ impl Commission {
         let wanted = match self.phase {
             Phase::Rest => self.rest(measured.bus_voltage),
             Phase::Pulses => self.pulse(&period, highest),
-            Phase::Launch => self.launch(highest),
+            Phase::Launch => self.launch(&period, highest),
             Phase::Trial | Phase::Short | Phase::Long => self.swing(&period, highest),
             Phase::Over => Wanted::Off,
         };
@@ -434,7 +451,9 @@ impl Commission {
 
     fn pulse(&mut self, period: &Period, highest: f32) -> Wanted {
         let least = PULSE * SIGNAL * self.noise;
-        match self.pulses.step(period, self.current, highest, least) {
+        let is_quick = self.speed.abs() > QUIET * self.limits.speed
+            || self.angle.abs() > QUIET * self.travel;
+        match self.pulses.step(period, self.current, highest, least, is_quick) {
             Pulsed::Voltage(voltage) => {
                 if core::mem::take(&mut self.pulses.is_reversed) {
                     self.current_sign = -self.current_sign;
@@ -465,8 +484,6 @@ impl Commission {
         // Rough as they are, R below Λ/1000 or above what leaves an inductance would be too much.
         let inductive = inductive.max(LEAST_INDUCTIVE * resistance);
         self.tune(resistance.max(1e-3 * inductive), lost, inductive, LOW_MOST, highest);
-        let counted = WINDOW_COUNTS * self.grain * self.rate / self.turn_speed;
-        self.averaged = counted.max(WINDOW.0).min(4.0 * WINDOW.0);
         self.back = 0.0;
         if self.high < 0.5 * SIGNAL * self.noise {
             self.stop(Reason::NoisyCurrent);
@@ -477,54 +494,83 @@ impl Commission {
 
     /// The current's control, its levels and short windows for an armature.
     fn tune(&mut self, resistance: f32, lost: f32, inductive: f32, low: f32, highest: f32) {
-        let limit = self.limits.current_command;
-        self.high = (HIGH * limit).min((HIGH_VOLTAGE * highest - lost) / resistance);
+        self.high = self.most.min((HIGH_VOLTAGE * highest - lost) / resistance);
         let ripple = RIPPLE * highest / inductive;
         self.low = (low * self.high).max(1.3 * ripple).min(LOW_MOST * self.high);
         self.least = (WITHIN * self.low).max(ripple).min(0.8 * self.low);
         self.control.resistance = resistance;
+        self.control.lost = lost;
         self.control.inductive = inductive;
         self.control.slew = (self.high / 12.0).min(SLEW * highest / inductive);
         let electrical = 0.6 * inductive / resistance;
         self.window_periods = electrical.max(WINDOW.0).min(0.25 * WINDOW.1);
     }
 
-    fn launch(&mut self, highest: f32) -> Wanted {
+    fn launch(&mut self, period: &Period, highest: f32) -> Wanted {
         let moved = self.angle.abs();
         let is_moving = moved > MOVED * self.grain.max(1e-3);
         let time = self.elapsed as f32 * self.period;
+        if moved > self.grain {
+            self.launch.add(0.5 * (period.currents[0] + period.currents[1]), period.turned);
+        }
         let is_fast = self.speed.abs() >= self.turn_speed
             || self.control.voltage >= TURN_VOLTAGE * highest
             || 2.0 * moved >= TURN_TRAVEL * self.travel;
-        let back_emf = self.control.voltage - self.control.resistance * self.current;
+        let back_emf = self.control.voltage - self.lost(self.current);
         if !is_moving && time > BLIND.1 && back_emf > BLIND.0 * highest {
             self.stop(Reason::EncoderMissing);
         } else if (is_fast && is_moving) || time > LAUNCH {
-            self.launched(moved, time);
+            let is_turning = is_moving && self.speed.abs() * time > 0.5 * moved;
+            if is_turning {
+                self.launched(highest);
+            } else {
+                self.fits.unseen = Some(Reason::Blocked);
+            }
+            if self.phase == Phase::Launch {
+                self.turn();
+                self.enter(Phase::Trial);
+            }
         }
-        Wanted::Current(self.high)
+        Wanted::Current((time / RAMP).min(1.0) * self.high)
     }
 
-    fn launched(&mut self, moved: f32, time: f32) {
-        let is_turning = self.speed.abs() * time > 0.5 * moved && moved > MOVED * self.grain;
-        if is_turning {
-            if self.angle < 0.0 {
-                self.turn_sign = -1.0;
-                self.angle = -self.angle;
-                self.speed = -self.speed;
-            }
-            self.fits.direction = Some(self.turn_sign);
-            self.launch = self.elapsed as f32;
-            let reached = self.speed.min(self.turn_speed);
-            let near = reached * (WINDOWS * self.window_periods / self.launch).min(1.0);
-            let resolved = 0.5 * WINDOW_COUNTS * self.grain * self.rate / self.averaged;
-            self.turn_speed = near.max(resolved).min(reached);
-            self.fits.turn_speed = reached;
-        } else {
-            self.fits.unseen = Some(Reason::Blocked);
+    /// Voltage that a current takes with the shaft at rest (V).
+    fn lost(&self, current: f32) -> f32 {
+        self.control.resistance * current + self.control.lost
+    }
+
+    /// Direction, and from how fast the shaft got how long it takes to turning speed at the higher level; a lower one where that is
+    /// too short to turn in time.
+    fn launched(&mut self, highest: f32) {
+        if self.angle < 0.0 {
+            self.turn_sign = -1.0;
+            self.angle = -self.angle;
+            self.speed = -self.speed;
+            self.last.turned = -self.last.turned;
         }
-        self.turn();
-        self.enter(Phase::Trial);
+        self.fits.direction = Some(self.turn_sign);
+        // As fast as the voltage allows at the higher level.
+        let back_emf = self.control.voltage - self.lost(self.current);
+        let room = (TURN_VOLTAGE * highest - self.lost(self.high)) / back_emf;
+        let reached = self.speed.min(self.turn_speed);
+        let speed = if room > 0.0 { reached.min(room * self.speed) } else { reached };
+        let acceleration = self.launch.acceleration(self.high) * self.rate * self.rate;
+        let least = 2.0 * (self.averaged + self.window_periods + TURN);
+        let by_speed = speed / acceleration * self.rate;
+        let by_travel = crate::math::sqrt(TURN_TRAVEL * self.travel / acceleration) * self.rate;
+        let slowed = by_travel / least;
+        let share = (by_speed / least).min(slowed * slowed).min(1.0);
+        let CurrentLoop { resistance, inductive, lost, .. } = self.control;
+        self.most = share * self.high;
+        self.tune(resistance, lost, inductive, LOW_MOST, highest);
+        self.ramp = by_speed.min(by_travel) / share;
+        let near = speed * (WINDOWS * self.window_periods / self.ramp).min(1.0);
+        let resolved = 0.5 * WINDOW_COUNTS * self.grain * self.rate / self.averaged;
+        self.turn_speed = near.max(resolved).min(speed);
+        self.fits.turn_speed = speed;
+        if !(self.high >= 0.25 * SIGNAL * self.noise) {
+            self.stop(Reason::TooQuick);
+        }
     }
 
     /// The current the other way.
@@ -580,7 +626,7 @@ impl Commission {
     }
 
     fn long_time(&self) -> f32 {
-        (50.0 * self.launch * self.period).max(LONG_LEAST).min(0.95 * LONG)
+        (50.0 * self.ramp * self.period).max(LONG_LEAST).min(0.95 * LONG)
     }
 
     fn end_trial(&mut self, highest: f32) {
@@ -604,7 +650,7 @@ impl Commission {
             return;
         }
         self.window_periods =
-            (self.launch / WINDOWS).max(self.window_periods).max(self.averaged).min(WINDOW.1);
+            (self.ramp / WINDOWS).max(self.window_periods).max(self.averaged).min(WINDOW.1);
         self.turn_speed = self.fits.turn_speed;
         self.enter(Phase::Long);
     }
@@ -652,6 +698,33 @@ impl Commission {
     }
 }
 
+/// A launch: how the angle grew with the current beyond what friction took.
+#[derive(Clone, Debug, Default)]
+struct Launch {
+    /// Current that first turned the shaft (A).
+    first: f32,
+    /// The current beyond friction, summed once and twice (A).
+    charge: f32,
+    path: f32,
+    turned: f32,
+}
+
+impl Launch {
+    fn add(&mut self, current: f32, turned: f32) {
+        if self.path == 0.0 {
+            self.first = current;
+        }
+        self.charge += current - FRICTION * self.first;
+        self.path += self.charge;
+        self.turned += turned;
+    }
+
+    /// At a current (A), in rad a period squared; rather too much.
+    fn acceleration(&self, current: f32) -> f32 {
+        self.turned.abs() / self.path * current
+    }
+}
+
 /// What the bridge is to do.
 enum Wanted {
     Off,
@@ -664,8 +737,10 @@ enum Wanted {
 struct CurrentLoop {
     /// R (Ω).
     resistance: f32,
-    /// 1/Bd (Ω).
+    /// Λ = 1/Bd (Ω).
     inductive: f32,
+    /// V0 (V).
+    lost: f32,
     /// Most that the reference moves in a period (A).
     slew: f32,
     reference: f32,

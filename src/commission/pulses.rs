@@ -2,12 +2,13 @@
 //!
 //! A voltage that grows by the same share each period is safe with any armature: the current grows by no larger share, but for the
 //! first of it, where the bridge's and the brushes' losses end. So it is known, whatever R and L, how far it goes on after it was seen to be enough.
+//! What is enough grows from pulse to pulse, as long as the shaft does not turn too much.
 //! Rise, hold and fall differ in how much of the voltage goes into R, L and the losses, which separates them.
 
 use super::fit::Fit;
 use super::window::{Period, Window};
 
-/// Pulses, of both signs in turn.
+/// Pulses of the last size, of both signs in turn.
 const PULSES: u32 = 6;
 
 /// The first voltage, as a share of the highest.
@@ -60,8 +61,11 @@ pub(super) struct Pulses {
     done: u32,
     sign: f32,
     magnitude: f32,
-    /// Current at which the voltage stops growing (A).
+    /// Current at which the voltage stops growing (A), now and at most.
     enough: f32,
+    most: f32,
+    /// Whether this pulse turned the shaft too much for a larger one.
+    is_quick: bool,
     window: Window,
     /// Current times periods since the first pulse (A).
     charge: f32,
@@ -72,15 +76,17 @@ pub(super) struct Pulses {
 }
 
 impl Pulses {
-    /// Pulses of a current (A).
-    pub(super) fn new(enough: f32) -> Self {
+    /// Pulses up to a current (A).
+    pub(super) fn new(most: f32) -> Self {
         Self {
             stage: Stage::Rise,
             periods: 0,
             done: 0,
             sign: 1.0,
             magnitude: 0.0,
-            enough,
+            enough: 0.0,
+            most,
+            is_quick: false,
             window: Window::default(),
             charge: 0.0,
             fit: Fit::default(),
@@ -88,15 +94,19 @@ impl Pulses {
         }
     }
 
-    /// A period, and the current since (A). Less than `least` is taken for none.
+    /// A period, and the current since (A). Less than `least` is taken for none. `is_quick` tells whether the shaft turns too much for
+    /// a larger pulse.
     pub(super) fn step(
         &mut self,
         period: &Period,
         now: f32,
         highest: f32,
         least: f32,
+        is_quick: bool,
     ) -> Pulsed {
         let current = now.abs();
+        self.enough = self.enough.max(least);
+        self.is_quick |= is_quick;
         // A shaft that is free turns as much, and an encoder's few counts would be too coarse.
         self.charge += 0.5 * (period.currents[0] + period.currents[1]);
         let counts = self.sign * period.currents[0] >= COUNTS_FROM * self.enough;
@@ -117,6 +127,7 @@ impl Pulses {
                         return Pulsed::NoCurrent;
                     }
                     self.enough = current;
+                    self.most = current;
                 }
                 if current >= self.enough {
                     self.is_reversed = self.sign * now < 0.0;
@@ -140,6 +151,11 @@ impl Pulses {
                     self.done += 1;
                     self.sign = -self.sign;
                     self.enter(Stage::Rise);
+                    if !core::mem::take(&mut self.is_quick) && self.enough < self.most {
+                        self.enough = (2.0 * self.enough).min(self.most);
+                        self.fit = Fit::default();
+                        self.done = 0;
+                    }
                 }
             }
         }
