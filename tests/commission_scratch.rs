@@ -2,10 +2,11 @@ use host_sim::commission_bench::Bench;
 use rayon::prelude::*;
 #[test]
 fn travel() {
-    for travel in [0.3, 1.0, 3.0, 6.28, 30.0] {
-        let runs: Vec<_> = (0..100u64).into_par_iter().map(|s| { let mut b = Bench::random(s); b.travel = travel; let r = b.run(); (b, r) }).collect();
+    for travel in [0.3, 1.0, 3.0, 10.0] {
+        let runs: Vec<_> = (0..100u64).into_par_iter().map(|s| { let mut b = Bench::random(s); b.travel = travel.max(151.0 * 6.2832 / b.scenario.sensors.unwrap().counts_per_turn as f64); let r = b.run(); (b, r) }).collect();
         let mut reasons = std::collections::BTreeMap::new();
         let (mut beyond, mut fast, mut cur) = (0, 0, 0);
+        for (b, r) in &runs { if r.angle > b.travel || r.speed > b.scenario.limits.speed || r.current > b.config().limits.current_command as f64 { println!("BEYOND {} {} {:?} angle {} speed {}", b.name, r.current, r.findings.stopped, r.angle, r.speed/b.scenario.limits.speed); } }
         let mut held = [0; 4]; let mut errs: Vec<Vec<f64>> = vec![vec![]; 4];
         for (b, r) in &runs {
             let f = r.findings; let m = &b.scenario.motor;
@@ -24,6 +25,7 @@ fn travel() {
 fn rates() {
     for rate in [10e3, 40e3] {
         let runs: Vec<_> = (0..60u64).into_par_iter().map(|s| { let mut b = Bench::random(s); b.scenario.timing.rate = rate; b.scenario.bridge.ripple *= 20e3/rate; let r = b.run(); (b, r) }).collect();
+        for (b, r) in &runs { if r.angle > b.travel || r.speed > b.scenario.limits.speed || r.current > b.config().limits.current_command as f64 { println!("BEYOND {} {} {:?} angle {} speed {}", b.name, r.current, r.findings.stopped, r.angle, r.speed/b.scenario.limits.speed); } }
         let mut held = [0; 4]; let mut errs: Vec<Vec<f64>> = vec![vec![]; 4];
         let mut reasons = std::collections::BTreeMap::new(); let mut t: f64 = 0.0; let mut i: f64 = 0.0; let mut w: f64 = 0.0;
         for (b, r) in &runs {
@@ -41,8 +43,9 @@ fn rates() {
 }
 #[test]
 fn slow_limits() {
-    for share in [0.02, 0.05, 0.1, 0.3] {
+    for share in [0.04, 0.07, 0.15, 0.4] {
         let runs: Vec<_> = (0..60u64).into_par_iter().map(|s| { let mut b = Bench::random(s); b.scenario.limits.speed *= share; let r = b.run(); (b, r) }).collect();
+        for (b, r) in &runs { if r.angle > b.travel || r.speed > b.scenario.limits.speed || r.current > b.config().limits.current_command as f64 { println!("BEYOND {} {} {:?} angle {} speed {}", b.name, r.current, r.findings.stopped, r.angle, r.speed/b.scenario.limits.speed); } }
         let mut held = [0; 4]; let mut errs: Vec<Vec<f64>> = vec![vec![]; 4];
         let mut reasons = std::collections::BTreeMap::new(); let mut t: f64 = 0.0; let mut i: f64 = 0.0; let mut w: f64 = 0.0;
         for (b, r) in &runs {

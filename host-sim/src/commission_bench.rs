@@ -51,6 +51,9 @@ const DIP_STEADY: f64 = 0.1;
 const DIP_STEP: f64 = 0.18;
 const DIP_END: f64 = 0.23;
 
+/// Time that a shaft is watched after outputs went off (s).
+const COASTING: f64 = 0.2;
+
 /// Current limit over the one that a bridge trips at.
 const BELOW_TRIP: f64 = 0.8;
 
@@ -194,7 +197,12 @@ impl Bench {
         let mut commission = Commission::new(config).expect("valid");
         let mut board = self.board();
         let [mut current, mut speed, mut farthest, mut duty, mut angle] = [0.0_f64; 5];
-        while commission.phase() != Phase::Over {
+        let mut over = None;
+        // What coasts on has to stay within limits too.
+        while over.is_none_or(|over| board.time() < over + COASTING) {
+            if over.is_none() && commission.phase() == Phase::Over {
+                over = Some(board.time());
+            }
             let mut sample = board.sample();
             meddle(&mut commission, &mut sample);
             let command = commission.step(&sample);
@@ -210,7 +218,8 @@ impl Bench {
             farthest = farthest.max(angle.abs());
         }
         let findings = commission.findings();
-        Run { findings, time: board.time(), current, speed, angle: farthest, duty }
+        let time = over.unwrap_or(board.time());
+        Run { findings, time, current, speed, angle: farthest, duty }
     }
 
     /// What a drive would be tuned from that knew the truth.

@@ -68,6 +68,8 @@ pub enum Reason {
     EncoderMissing,
     /// At the least current that its sensor shows the shaft would be beyond the limits of speed or travel before it could be turned back.
     TooQuick,
+    /// The currents that limits allow are within their own ripple, where what brushes and dead time take looks like resistance.
+    Ripple,
     /// The interval is wider than half the value: too short a travel, too low a speed or current limit, too coarse an encoder.
     Imprecise,
     /// Kb is not within a third of what the nameplate says: wrong counts per turn, or another motor.
@@ -115,6 +117,8 @@ pub(super) struct Fits {
     pub unseen: Option<Reason>,
     /// The encoder's sign, once it is known.
     pub direction: Option<f32>,
+    /// Whether the currents were within their ripple.
+    pub within_ripple: bool,
     /// Speed at which the long windows turn (rad/s).
     pub turn_speed: f32,
     /// R, V0, Kb and Λ by the short and the long windows.
@@ -138,13 +142,16 @@ pub(super) struct Values {
 impl Fits {
     /// With a sampling period (s), and why what was not fitted was not seen.
     pub fn values(&self, period: f32, not_seen: Reason) -> Values {
+        let beyond_ripple = if self.within_ripple { Err(Reason::Ripple) } else { Ok(()) };
         let short = self.short.ok_or(not_seen);
         // The long windows show all but the inductance better, and are not there where the shaft is blocked.
         let best = self.long.or(self.short).ok_or(not_seen);
+        let long = self.long.ok_or(not_seen);
         let of = |solution: Solution, unknown: usize| {
             (solution.values[unknown], solution.deviations[unknown])
         };
-        let long = self.long.ok_or(not_seen);
+        let best = best.and_then(|best| beyond_ripple.map(|()| best));
+        let short = short.and_then(|short| beyond_ripple.map(|()| short));
         Values {
             resistance: best.and_then(|best| {
                 let (value, deviation) = of(best, 0);

@@ -101,8 +101,12 @@ const SIGNAL: f32 = 60.0;
 /// Share of the current limit in pulses. They may go to three times that.
 const PULSE: f32 = 0.25;
 
-/// Share of the limits of speed and travel above which pulses do not grow.
+/// Shares of the limits of speed and travel above which pulses do not grow.
 const QUIET: f32 = 0.1;
+const QUIET_TRAVEL: f32 = 0.03;
+
+/// Counts of the travel, at least.
+const TRAVEL: f32 = 150.0;
 
 /// Share of the current limit that is the higher level, and share of the highest voltage that it may take at rest.
 const HIGH: f32 = 0.75;
@@ -136,8 +140,11 @@ const SLEW: f32 = 0.2;
 const RAMP: f32 = 0.4;
 const LAUNCH: f32 = 1.5;
 
-/// Share of the current that first turned the shaft that friction goes on to take.
-const FRICTION: f32 = 0.8;
+/// Time without voltage before it (s).
+const SETTLE: f32 = 0.1;
+
+/// A ramp to turning speed must take this many times what it takes to see it and to turn.
+const QUICK: f32 = 2.5;
 
 /// Periods that a current takes to turn.
 const TURN: f32 = 20.0;
@@ -160,6 +167,9 @@ const WINDOW_COUNTS: f32 = 6.0;
 
 /// Windows from rest to turning speed.
 const WINDOWS: f32 = 8.0;
+
+/// Share of the turning speed from which the shaft does not turn back within two windows.
+const ONWARD: f32 = 0.15;
 
 /// Windows after which a current turns whose shaft is blocked.
 const BLOCKED_WINDOWS: u32 = 16;
@@ -204,9 +214,15 @@ pub struct Commission {
     /// The period that ended with the last sample.
     last: Period,
     speed: f32,
+    /// Speeds at the start and the end of the window before (rad/s).
+    speeds: [f32; 2],
     /// Periods that the speed is averaged over.
     averaged: f32,
     angle: f32,
+    /// Where the launch starts (rad).
+    start: f32,
+    /// The angle, averaged like the speed (rad).
+    late_angle: f32,
     /// The last command, and the voltage that acts until the next sample (V).
     duty: f32,
     acting: f32,
@@ -228,7 +244,6 @@ pub struct Commission {
     /// Windows since the current turned, and in this phase.
     windows: u32,
     all_windows: u32,
-    launch: Launch,
     /// Periods from rest to turning.
     ramp: f32,
     armature: Fit,
@@ -254,6 +269,18 @@ impl Commission {
         let turn_speed = TURN_SPEED * limits.speed;
         let grain = shaft.unit.abs() * shaft.grain;
         let counted = WINDOW_COUNTS * grain * timing.rate / turn_speed;
+        require(
+            travel >= TRAVEL * grain,
+            "travel",
+            "must be at least 150 counts of the encoder",
+            travel,
+        )?;
+        require(
+            counted <= WINDOW.1,
+            "limits.speed",
+            "must be at least 15 counts in 512 periods, for commissioning",
+            limits.speed,
+        )?;
         let resolution = match sensors {
             Sensors::Exact => 0.0,
             Sensors::Codes(calibration) => calibration.current_per_code.abs(),
@@ -283,8 +310,11 @@ impl Commission {
             current: 0.0,
             last: Period::default(),
             speed: 0.0,
+            speeds: [0.0; 2],
             averaged: counted.max(WINDOW.0).min(4.0 * WINDOW.0),
             angle: 0.0,
+            late_angle: 0.0,
+            start: 0.0,
             duty: 0.0,
             acting: 0.0,
             pulses: Pulses::new(PULSE * limits.current_command),
@@ -301,7 +331,6 @@ impl Commission {
             window_periods: 0.0,
             windows: 0,
             all_windows: 0,
-            launch: Launch::default(),
             ramp: 0.0,
             armature: Fit::default(),
             shaft: Fit::default(),
@@ -310,6 +339,8 @@ impl Commission {
     }
 
     /// What is being done.
+    pub fn dbg(&self) -> [f32; 7] { [self.angle, self.speed, self.most, self.high, self.low, self.ramp, self.turn_speed] }
+    /// x
     pub fn phase(&self) -> Phase {
         self.phase
     }
@@ -338,7 +369,7 @@ impl Commission {
         let wanted = match self.phase {
             Phase::Rest => self.rest(measured.bus_voltage),
             Phase::Pulses => self.pulse(&period, highest),
-            Phase::Launch => self.launch(&period, highest),
+            Phase::Launch => self.launch(highest),
             Phase::Trial | Phase::Short | Phase::Long => self.swing(&period, highest),
             Phase::Over => Wanted::Off,
         };
@@ -368,6 +399,7 @@ impl Commission {
         let before = core::mem::replace(&mut self.last, last);
         self.current = current;
         self.angle += turned;
+        self.late_angle += (self.angle - self.late_angle) / self.averaged;
         self.back = self.back.min(self.sign * self.angle);
         self.speed += (turned * self.rate - self.speed) / self.averaged;
         // The encoder's reads lie before the current's: where it was then, this sample and the last one tell.
@@ -411,6 +443,7 @@ impl Commission {
         self.all_windows = 0;
         self.window = Window::default();
         self.before = Window::default();
+        self.speeds = [0.0; 2];
         self.armature = Fit::default();
         self.shaft = Fit::default();
     }
@@ -452,7 +485,7 @@ impl Commission {
     fn pulse(&mut self, period: &Period, highest: f32) -> Wanted {
         let least = PULSE * SIGNAL * self.noise;
         let is_quick = self.speed.abs() > QUIET * self.limits.speed
-            || self.angle.abs() > QUIET * self.travel;
+            || self.angle.abs() > QUIET_TRAVEL * self.travel;
         match self.pulses.step(period, self.current, highest, least, is_quick) {
             Pulsed::Voltage(voltage) => {
                 if core::mem::take(&mut self.pulses.is_reversed) {
@@ -498,6 +531,7 @@ impl Commission {
         let ripple = RIPPLE * highest / inductive;
         self.low = (low * self.high).max(1.3 * ripple).min(LOW_MOST * self.high);
         self.least = (WITHIN * self.low).max(ripple).min(0.8 * self.low);
+        self.fits.within_ripple = ripple > self.low;
         self.control.resistance = resistance;
         self.control.lost = lost;
         self.control.inductive = inductive;
@@ -506,23 +540,25 @@ impl Commission {
         self.window_periods = electrical.max(WINDOW.0).min(0.25 * WINDOW.1);
     }
 
-    fn launch(&mut self, period: &Period, highest: f32) -> Wanted {
-        let moved = self.angle.abs();
-        let is_moving = moved > MOVED * self.grain.max(1e-3);
-        let time = self.elapsed as f32 * self.period;
-        if moved > self.grain {
-            self.launch.add(0.5 * (period.currents[0] + period.currents[1]), period.turned);
+    fn launch(&mut self, highest: f32) -> Wanted {
+        let time = self.elapsed as f32 * self.period - SETTLE;
+        if time <= 0.0 {
+            self.start = self.angle;
+            self.late_angle = self.angle;
+            return Wanted::Voltage(0.0);
         }
+        let moved = (self.angle - self.start).abs();
+        let is_moving = moved > MOVED * self.grain.max(1e-3);
         let is_fast = self.speed.abs() >= self.turn_speed
             || self.control.voltage >= TURN_VOLTAGE * highest
-            || 2.0 * moved >= TURN_TRAVEL * self.travel;
+            || 2.0 * moved + self.start.abs() >= TURN_TRAVEL * self.travel;
         let back_emf = self.control.voltage - self.lost(self.current);
         if !is_moving && time > BLIND.1 && back_emf > BLIND.0 * highest {
             self.stop(Reason::EncoderMissing);
         } else if (is_fast && is_moving) || time > LAUNCH {
             let is_turning = is_moving && self.speed.abs() * time > 0.5 * moved;
             if is_turning {
-                self.launched(highest);
+                self.launched(time, highest);
             } else {
                 self.fits.unseen = Some(Reason::Blocked);
             }
@@ -541,10 +577,12 @@ impl Commission {
 
     /// Direction, and from how fast the shaft got how long it takes to turning speed at the higher level; a lower one where that is
     /// too short to turn in time.
-    fn launched(&mut self, highest: f32) {
-        if self.angle < 0.0 {
+    fn launched(&mut self, time: f32, highest: f32) {
+        if self.angle < self.start {
             self.turn_sign = -1.0;
             self.angle = -self.angle;
+            self.start = -self.start;
+            self.late_angle = -self.late_angle;
             self.speed = -self.speed;
             self.last.turned = -self.last.turned;
         }
@@ -554,8 +592,8 @@ impl Commission {
         let room = (TURN_VOLTAGE * highest - self.lost(self.high)) / back_emf;
         let reached = self.speed.min(self.turn_speed);
         let speed = if room > 0.0 { reached.min(room * self.speed) } else { reached };
-        let acceleration = self.launch.acceleration(self.high) * self.rate * self.rate;
-        let least = 2.0 * (self.averaged + self.window_periods + TURN);
+        let acceleration = self.acceleration(time);
+        let least = QUICK * (self.averaged + self.window_periods + TURN);
         let by_speed = speed / acceleration * self.rate;
         let by_travel = crate::math::sqrt(TURN_TRAVEL * self.travel / acceleration) * self.rate;
         let slowed = by_travel / least;
@@ -570,6 +608,17 @@ impl Commission {
         self.fits.turn_speed = speed;
         if !(self.high >= 0.25 * SIGNAL * self.noise) {
             self.stop(Reason::TooQuick);
+        }
+    }
+
+    /// At the higher level (rad/s²), from a launch of this time (s). Where friction holds the shaft until some time, and the current goes on
+    /// to grow, the angle is a·τ³/6 and the speed a·τ²/2 after it: together they tell a without that time. Friction helps to turn.
+    fn acceleration(&self, time: f32) -> f32 {
+        let [speed, angle] = [self.speed, self.late_angle - self.start];
+        if time < RAMP {
+            RAMP * 2.0 * speed * speed * speed / (9.0 * angle * angle)
+        } else {
+            speed * speed / (2.0 * angle)
         }
     }
 
@@ -595,9 +644,16 @@ impl Commission {
         if let Some((x, y)) = row {
             self.armature.add(x, y);
         }
-        let row = self.window.shaft(&self.before, self.period, 2.0 * self.grain);
-        if let Some((x, y)) = row {
-            self.shaft.add(x, y);
+        // Friction changes its sign where the shaft turns back. It is told by the speed, whose noise is not that of the row.
+        let [start, middle] = self.speeds;
+        self.speeds = [middle, self.speed];
+        let direction = if self.speed > 0.0 { 1.0 } else { -1.0 };
+        let least = (direction * start).min(direction * self.speed);
+        if least > ONWARD * self.turn_speed {
+            let row = self.window.shaft(&self.before, direction, self.period);
+            if let Some((x, y)) = row {
+                self.shaft.add(x, y);
+            }
         }
         let turned_back = self.before.turned() * self.window.turned() <= 0.0;
         self.before = core::mem::take(&mut self.window);
@@ -655,12 +711,21 @@ impl Commission {
         self.enter(Phase::Long);
     }
 
-    /// The armature, without what noise in current and angle would pull.
+    /// The armature. Noise in current and angle pulls their unknowns; how much, its variance tells at most: half of it is taken back, and
+    /// the other half is uncertain.
     fn solved(&self) -> fit::Solution {
         let per = 1.0 / self.window_periods;
         let speed = self.grain * self.rate * per;
         let current = self.noise * per;
-        self.armature.solve([0.0, 0.0, speed * speed / 6.0, 2.0 * current * current])
+        let noise = [0.0, 0.0, speed * speed / 6.0, 2.0 * current * current];
+        let pulled = self.armature.solve([0.0; 4]);
+        let mut solution = self.armature.solve(noise);
+        for (unknown, pulled) in pulled.values.into_iter().enumerate() {
+            let pull = 0.5 * (solution.values[unknown] - pulled);
+            solution.values[unknown] -= pull;
+            solution.deviations[unknown] += 0.5 * pull.abs();
+        }
+        solution
     }
 
     /// What was found until now.
@@ -695,33 +760,6 @@ impl Commission {
         } else {
             Err(Reason::NoLoadSpeed)
         }
-    }
-}
-
-/// A launch: how the angle grew with the current beyond what friction took.
-#[derive(Clone, Debug, Default)]
-struct Launch {
-    /// Current that first turned the shaft (A).
-    first: f32,
-    /// The current beyond friction, summed once and twice (A).
-    charge: f32,
-    path: f32,
-    turned: f32,
-}
-
-impl Launch {
-    fn add(&mut self, current: f32, turned: f32) {
-        if self.path == 0.0 {
-            self.first = current;
-        }
-        self.charge += current - FRICTION * self.first;
-        self.path += self.charge;
-        self.turned += turned;
-    }
-
-    /// At a current (A), in rad a period squared; rather too much.
-    fn acceleration(&self, current: f32) -> f32 {
-        self.turned.abs() / self.path * current
     }
 }
 

@@ -101,19 +101,15 @@ impl Window {
         Some(([self.current * per, sign, speed, (last - first) * per], self.voltage * per))
     }
 
-    /// The shaft's row for Kb/J, −b/J, −T_c/J and −T_l/J, with the window before, which must be as long. Nothing where the shaft
-    /// may have turned back within, since friction changed its sign then: slower than it gained speed.
+    /// The shaft's row for Kb/J, −b/J, −T_c/J and −T_l/J, with the window before, which must be as long, where the shaft turned in the
+    /// direction of `sign` (±1) all the time.
     pub(super) fn shaft(
         &self,
         before: &Self,
+        sign: f32,
         period: f32,
-        least_turned: f32,
     ) -> Option<([f32; UNKNOWNS], f32)> {
-        let [first, second] = [before.turned.plain, self.turned.plain];
-        let sign = if second > 0.0 { 1.0 } else { -1.0 };
-        let least = (second - first).abs().max(least_turned);
-        let onward = sign * first > least && sign * second > least;
-        if !onward || before.periods != self.periods {
+        if before.periods != self.periods || self.periods == 0.0 {
             return None;
         }
         let per = 1.0 / (self.periods * self.periods);
@@ -122,6 +118,7 @@ impl Window {
         };
         let current = tip(&before.mean_current, &self.mean_current);
         let speed = tip(&before.turned, &self.turned) / period;
-        Some(([current, speed, sign, 1.0], per * (second - first) / (period * period)))
+        let gained = self.turned.plain - before.turned.plain;
+        Some(([current, speed, sign, 1.0], per * gained / (period * period)))
     }
 }
