@@ -126,7 +126,8 @@ impl Bench {
         let voltage = *[12.0, 24.0, 36.0, 48.0].choose(&mut random).unwrap_or(&24.0);
         let counts = *[512, 1024, 2048, 4096, 8192, 16384].choose(&mut random).unwrap_or(&4096);
         let edge_error = random.random_range(0.0..0.08);
-        let [offset, load, sag] = [-5.0..5.0, -0.2..0.2, 0.0..0.02].map(|range| random.random_range(range));
+        let [offset, load, sag] =
+            [-5.0..5.0, -0.2..0.2, 0.0..0.02].map(|range| random.random_range(range));
         let rated = power / (0.8 * voltage);
         let back_emf = 0.95 * voltage / no_load;
         let resistance = voltage / (stall * rated);

@@ -131,13 +131,7 @@ pub struct Bridge {
 
 impl Default for Bridge {
     fn default() -> Self {
-        Self {
-            duty_steps: 0,
-            dead_time: 0.0,
-            brush_drop: 0.0,
-            ripple: 0.05,
-            leads_reversed: false,
-        }
+        Self { duty_steps: 0, dead_time: 0.0, brush_drop: 0.0, ripple: 0.05, leads_reversed: false }
     }
 }
 

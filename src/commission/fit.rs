@@ -1,5 +1,7 @@
 //! Weighted least squares for up to four unknowns, in closed form from running sums.
 
+use crate::math::sqrt;
+
 /// Unknowns that a fit has room for. A column that stays zero is none.
 pub(super) const UNKNOWNS: usize = 4;
 
@@ -82,7 +84,7 @@ impl Fit {
             if factors.per_pivot[i] > 0.0 {
                 let mut unit = [0.0; UNKNOWNS];
                 unit[i] = 1.0;
-                deviations[i] = crate::math::sqrt(variance * factors.solve(unit)[i]);
+                deviations[i] = sqrt(variance * factors.solve(unit)[i]);
             }
         }
         Solution { values, deviations }

@@ -8,11 +8,12 @@
 //! |---|---|---|
 //! | `Rest` | off | offset and noise of the current; that the shaft rests |
 //! | `Pulses` | [short pulses](pulses) that grow until a current flows | open leads, the current's sign, R and L roughly: enough to control currents by |
-//! | `Launch` | one current, from rest | direction and counts of the encoder, a blocked shaft, how fast the motor is |
-//! | `Short` | currents of two levels and both signs in turn, short windows, slow | L; R, and the voltage lost in brushes and dead time |
+//! | `Launch` | a current that grows, from rest | direction and counts of the encoder, a blocked shaft, how fast the motor is: what current its limits allow |
+//! | `Trial` | currents of two levels and both signs in turn, short windows, slow | the same as `Short`, to control currents better |
+//! | `Short` | again | L; R, and the voltage lost in brushes and dead time |
 //! | `Long` | the same to higher speeds and in longer windows | R, Kb; J, b, Coulomb friction, a constant load |
 //!
-//! In `Short` and `Long` the sign of the current changes where the shaft has reached a speed, most of the voltage, or the end of its
+//! In these the sign of the current changes where the shaft has reached a speed, most of the voltage, or the end of its
 //! travel: it swings to and fro. Each sign holds with both levels, so that R is the difference that the level makes to the voltage, what is lost the
 //! difference that the sign makes, and Kb what the speed makes, all of one least-squares fit of sums over windows ([`window`]). So neither
 //! has the current to settle nor the shaft to stand still, and what brushes and dead time take is no resistance.
@@ -40,7 +41,7 @@ use crate::config::{ConfigError, positive, require};
 use crate::control::Timing;
 use crate::hal::{BridgeCommand, Sample};
 use crate::limits::Limits;
-use crate::math::Scalar;
+use crate::math::{Scalar, sqrt};
 use crate::per_unit::Bases;
 use crate::sense::{Measured, Sensing, Sensors};
 use findings::Fits;
@@ -97,6 +98,9 @@ const REST: u32 = 2048;
 
 /// The current limit must be this many times the noise's deviation.
 const SIGNAL: f32 = 60.0;
+
+/// Noise over the current limit, at least: what sensors without any are taken for.
+const LEAST_NOISE: f32 = 1e-4;
 
 /// Share of the current limit in pulses. They may go to three times that.
 const PULSE: f32 = 0.25;
@@ -339,8 +343,6 @@ impl Commission {
     }
 
     /// What is being done.
-    pub fn dbg(&self) -> [f32; 7] { [self.angle, self.speed, self.most, self.high, self.low, self.ramp, self.turn_speed] }
-    /// x
     pub fn phase(&self) -> Phase {
         self.phase
     }
@@ -469,8 +471,9 @@ impl Commission {
         self.offset = self.first_current + mean;
         // What noise there is within a code does not show.
         let rounding = self.resolution * self.resolution / 12.0;
-        self.noise = crate::math::sqrt((square - mean * mean).max(0.0) + rounding);
         let limit = self.limits.current_command;
+        let noise = sqrt((square - mean * mean).max(0.0) + rounding);
+        self.noise = noise.max(LEAST_NOISE * limit);
         if self.offset.abs() > PULSE * limit {
             self.stop(Reason::CurrentZero);
         } else if limit < SIGNAL * self.noise {
@@ -595,7 +598,7 @@ impl Commission {
         let acceleration = self.acceleration(time);
         let least = QUICK * (self.averaged + self.window_periods + TURN);
         let by_speed = speed / acceleration * self.rate;
-        let by_travel = crate::math::sqrt(TURN_TRAVEL * self.travel / acceleration) * self.rate;
+        let by_travel = sqrt(TURN_TRAVEL * self.travel / acceleration) * self.rate;
         let slowed = by_travel / least;
         let share = (by_speed / least).min(slowed * slowed).min(1.0);
         let CurrentLoop { resistance, inductive, lost, .. } = self.control;
@@ -699,7 +702,6 @@ impl Commission {
 
     fn end_short(&mut self, blocked: bool) {
         self.fits.short = Some(self.solved());
-
 
         if blocked {
             self.phase = Phase::Over;

@@ -56,7 +56,8 @@ impl Known {
                 calibration.counts_per_turn = -calibration.counts_per_turn;
             }
         }
-        let or_none = |value: Result<super::Value, Reason>| value.map_or(0.0, |it| it.value.max(0.0));
+        let or_none =
+            |value: Result<super::Value, Reason>| value.map_or(0.0, |it| it.value.max(0.0));
         Ok(Self {
             motor: MotorParameters {
                 inertia: findings.inertia?.value,

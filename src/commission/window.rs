@@ -113,9 +113,8 @@ impl Window {
             return None;
         }
         let per = 1.0 / (self.periods * self.periods);
-        let tip = |before: &Weighted, now: &Weighted| {
-            per * (before.rising(self.periods) + now.falling)
-        };
+        let tip =
+            |before: &Weighted, now: &Weighted| per * (before.rising(self.periods) + now.falling);
         let current = tip(&before.mean_current, &self.mean_current);
         let speed = tip(&before.turned, &self.turned) / period;
         let gained = self.turned.plain - before.turned.plain;
