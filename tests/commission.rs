@@ -124,9 +124,7 @@ fn random_motors_from_1_w_to_1_kw() {
 fn assert_dips(runs: &[(Bench, Run)]) {
     let ratio = |(bench, run): &(Bench, Run)| -> Option<f64> {
         let config = bench.config();
-        let dip = |known: Known| {
-            bench.dip(&known.tuned(&config)).unwrap_or_else(|| panic!("{}: {known:?}", bench.name))
-        };
+        let dip = |known: Known| bench.dip(&known.tuned(&config)).expect(bench.name.as_str());
         let known = Known::new(&run.findings, &config).ok()?;
         Some(dip(known) / dip(bench.truth(&run.findings)))
     };
@@ -150,7 +148,7 @@ fn motors_of_data_sheets() {
         let found = found(bench, &run.findings);
         for (unknown, most) in [0.01, 0.05, 0.002, 0.01].into_iter().enumerate() {
             let (value, truth) = found[unknown];
-            let value = value.unwrap_or_else(|reason| panic!("{}: {reason:?}", bench.name));
+            let value = value.expect(bench.name.as_str());
             let error = (f64::from(value.value) / truth - 1.0).abs();
             assert!(error <= most, "{}: {} errs by {error}", bench.name, NAMES[unknown]);
         }

@@ -9,7 +9,7 @@ pub struct Value {
     /// The value, in its SI unit.
     pub value: f32,
     /// Half the interval about it that holds the truth in at least nine of ten motors (same unit): twice the standard deviation that the
-    /// fit's residuals tell, and half a percent for what they do not. The sensors' own gains are taken as right.
+    /// fit's residuals tell (three times for torques), and half a percent for what they do not (two of torques and voltages). The sensors' own gains are taken as right.
     pub uncertainty: f32,
 }
 
@@ -36,7 +36,7 @@ impl Value {
 /// Why something was not seen, or commissioning ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reason {
-    /// [`Commission::abort`].
+    /// [`Commission::abort`](super::Commission::abort).
     Aborted,
     /// It has not come to that yet.
     NotReached,

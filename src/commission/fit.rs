@@ -90,6 +90,7 @@ impl Fit {
         Solution { values, deviations }
     }
 
+    #[expect(clippy::needless_range_loop, reason = "rows and columns of matrices")]
     fn factors(&self, noise: [f32; UNKNOWNS]) -> Factors {
         let mut factors = Factors::default();
         for i in 0..UNKNOWNS {

@@ -7,7 +7,7 @@
 //! | phase | the bridge | shows |
 //! |---|---|---|
 //! | `Rest` | off | offset and noise of the current; that the shaft rests |
-//! | `Pulses` | [short pulses](pulses) that grow until a current flows | open leads, the current's sign, R and L roughly: enough to control currents by |
+//! | `Pulses` | short pulses that grow until a current flows | open leads, the current's sign, R and L roughly: enough to control currents by |
 //! | `Launch` | a current that grows, from rest | direction and counts of the encoder, a blocked shaft, how fast the motor is: what current its limits allow |
 //! | `Trial` | currents of two levels and both signs in turn, short windows, slow | the same as `Short`, to control currents better |
 //! | `Short` | again | L; R, and the voltage lost in brushes and dead time |
@@ -15,7 +15,7 @@
 //!
 //! In these the sign of the current changes where the shaft has reached a speed, most of the voltage, or the end of its
 //! travel: it swings to and fro. Each sign holds with both levels, so that R is the difference that the level makes to the voltage, what is lost the
-//! difference that the sign makes, and Kb what the speed makes, all of one least-squares fit of sums over windows ([`window`]). So neither
+//! difference that the sign makes, and Kb what the speed makes, all of one least-squares fit of sums over windows (`window.rs`). So neither
 //! has the current to settle nor the shaft to stand still, and what brushes and dead time take is no resistance.
 //!
 //! What cannot be told from a drive's own sensors: whether the current's gain and the encoder's counts are what the calibration says.
@@ -29,6 +29,7 @@
 //! next start. Heat and temperature are watched as ever, the hardware's own trip too. Samples in codes are the same whatever the drive
 //! computes in. Between two periods [`tuning::Known::tuned`] makes a configuration of the findings, which is saved like any other, on request.
 
+mod current;
 mod findings;
 mod fit;
 mod pulses;
@@ -44,6 +45,7 @@ use crate::limits::Limits;
 use crate::math::{Scalar, sqrt};
 use crate::per_unit::Bases;
 use crate::sense::{Measured, Sensing, Sensors};
+use current::CurrentLoop;
 use findings::Fits;
 use fit::Fit;
 use pulses::{Pulsed, Pulses};
@@ -168,6 +170,9 @@ const LONG_LEAST: f32 = 3.0;
 /// Periods of a window, at least and at most; counts that pass in one at turning speed, at least.
 const WINDOW: (f32, f32) = (16.0, 512.0);
 const WINDOW_COUNTS: f32 = 6.0;
+
+/// Ramps to turning speed in the long windows.
+const RAMPS: f32 = 50.0;
 
 /// Windows from rest to turning speed.
 const WINDOWS: f32 = 8.0;
@@ -609,7 +614,9 @@ impl Commission {
         let resolved = 0.5 * WINDOW_COUNTS * self.grain * self.rate / self.averaged;
         self.turn_speed = near.max(resolved).min(speed);
         self.fits.turn_speed = speed;
-        if !(self.high >= 0.25 * SIGNAL * self.noise) {
+        // Not the other way round: a NaN is nothing seen.
+        let is_seen = self.high >= 0.25 * SIGNAL * self.noise;
+        if !is_seen {
             self.stop(Reason::TooQuick);
         }
     }
@@ -685,7 +692,7 @@ impl Commission {
     }
 
     fn long_time(&self) -> f32 {
-        (50.0 * self.ramp * self.period).max(LONG_LEAST).min(0.95 * LONG)
+        (RAMPS * self.ramp * self.period).clamp(LONG_LEAST, 0.95 * LONG)
     }
 
     fn end_trial(&mut self, highest: f32) {
@@ -770,36 +777,4 @@ enum Wanted {
     Off,
     Voltage(f32),
     Current(f32),
-}
-
-/// Controls the current: its zero cancels the armature's pole, and the loop closes within some ten periods.
-#[derive(Clone, Debug, Default)]
-struct CurrentLoop {
-    /// R (Ω).
-    resistance: f32,
-    /// Λ = 1/Bd (Ω).
-    inductive: f32,
-    /// V0 (V).
-    lost: f32,
-    /// Most that the reference moves in a period (A).
-    slew: f32,
-    reference: f32,
-    error: f32,
-    /// What it asked for last (V).
-    voltage: f32,
-}
-
-impl CurrentLoop {
-    /// The share of an error that a period's voltage takes away. With the delay of a period it is critically damped at 0.25, and
-    /// stable with an armature of a third of the inductance.
-    const SHARE: f32 = 0.2;
-
-    fn step(&mut self, current: f32, wanted: f32, highest: f32) -> f32 {
-        self.reference += (wanted - self.reference).limited(self.slew);
-        let error = self.reference - current;
-        let change = self.inductive * (error - self.error) + self.resistance * self.error;
-        self.error = error;
-        self.voltage = (self.voltage + Self::SHARE * change).limited(highest);
-        self.voltage
-    }
 }

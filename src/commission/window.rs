@@ -121,3 +121,54 @@ impl Window {
         Some(([current, speed, sign, 1.0], per * gained / (period * period)))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PERIOD: f32 = 5e-5;
+
+    fn assert_holds((x, y): ([f32; UNKNOWNS], f32), unknowns: [f32; UNKNOWNS]) {
+        let explained: f32 = x.iter().zip(unknowns).map(|(x, unknown)| x * unknown).sum();
+        assert!((explained / y - 1.0).abs() < 1e-5, "{explained} is not {y}");
+    }
+
+    #[test]
+    fn an_armatures_row_is_exact_while_the_current_still_changes() {
+        let [resistance, lost, back_emf, speed] = [0.7, 1.2, 0.059, 80.0];
+        for kept in [0.3_f32, 0.7, 0.99] {
+            let held = (1.0 - kept) / resistance;
+            let mut window = Window::default();
+            let mut current = 1.0;
+            for voltage in [9.0, 20.0, 8.0, 7.0, 12.0, 9.5] {
+                let next = kept * current + held * (voltage - lost - back_emf * speed);
+                let currents = [current, next];
+                window.add(&Period { voltage, currents, turned: speed * PERIOD }, 1.0);
+                current = next;
+            }
+            let row = window.armature(0.5, 1.0, PERIOD).expect("large enough");
+            assert_holds(row, [resistance, lost, back_emf, 1.0 / held]);
+            assert_eq!(window.armature(30.0, 1.0, PERIOD), None);
+        }
+    }
+
+    #[test]
+    fn a_shafts_row_is_exact_whatever_the_current_does() {
+        let [per_inertia, coulomb, load] = [742.0, -30.0, 5.0];
+        let mut speed = 60.0;
+        let mut windows = [Window::default(); 2];
+        for (index, current) in [1.0, 2.0, -1.0, 4.0, 3.0, 0.5, 0.1, 2.0].into_iter().enumerate() {
+            let gained = (per_inertia * current + coulomb + load) * PERIOD;
+            let turned = (speed + 0.5 * gained) * PERIOD;
+            let period = Period { voltage: 0.0, currents: [current; 2], turned };
+            windows[index / 4].add(&period, 1.0);
+            speed += gained;
+        }
+        let [before, now] = windows;
+        let row = now.shaft(&before, 1.0, PERIOD).expect("as long");
+        let explained = per_inertia * row.0[0] + coulomb + load;
+        // The angle's second difference is of f32's last places.
+        assert!((explained / row.1 - 1.0).abs() < 0.01, "{explained} is not {}", row.1);
+        assert_eq!(now.shaft(&Window::default(), 1.0, PERIOD), None);
+    }
+}
