@@ -150,6 +150,10 @@ pub struct ReadyController<S: Scalar>(Controller<S>);
 impl<S: Scalar> ReadyController<S> {
     /// Builds the controller of a configuration; all else in it must be as the drive that it is for was built.
     pub fn new(config: &DriveConfig) -> Result<Self, ConfigError> {
+        Ok(Self(Self::controller(config)?))
+    }
+
+    fn controller(config: &DriveConfig) -> Result<Controller<S>, ConfigError> {
         let motor = config.motor.coefficients()?;
         let DriveConfig { limits, timing, .. } = config;
         limits.check()?;
@@ -164,15 +168,16 @@ impl<S: Scalar> ReadyController<S> {
             },
             bases: &Bases::new(config)?,
         };
-        Ok(Self(Controller::new(&config.control, &setting)?))
+        Controller::new(&config.control, &setting)
     }
 }
 
 impl<S: Scalar> Drive<S> {
     /// Builds a drive, not armed, commanded to stand still. Refuses a configuration outside its range, naming the field.
+    // Not inlined, as others that build what is large: a caller would keep this stack while it calls on.
+    #[inline(never)]
     pub fn new(config: &DriveConfig) -> Result<Self, ConfigError> {
         let DriveConfig { limits, timing, .. } = config;
-        let ReadyController(controller) = ReadyController::new(config)?;
         let shaft = config.sensors.shaft(timing.period());
         let bases = Bases::new(config)?;
         let Bases { speed, acceleration, angle, current, voltage, torque, .. } = bases;
@@ -186,7 +191,6 @@ impl<S: Scalar> Drive<S> {
             seen: false,
             driven: false,
             changed: false,
-            controller,
             sensing: Sensing::new(&config.sensors, limits, timing.rate, &bases)?,
             shaper: Shaper::new(config.shape, timing.rate, &bases)?,
             duty_limit: S::from_f32(limits.duty, Base::RATIO),
@@ -210,6 +214,8 @@ impl<S: Scalar> Drive<S> {
             measured: [S::ZERO; 2],
             headroom: S::headroom("limits.bus_max", limits.bus_max, voltage)?,
             bases,
+            // Last, and so straight to its place: it is large.
+            controller: ReadyController::controller(config)?,
         })
     }
 

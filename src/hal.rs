@@ -16,14 +16,15 @@ pub enum Sample<S> {
 
 /// A period's sample as converters and counters have it. [`crate::sense`] turns it into SI units.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(C, align(4))] // The reads are copied by words.
 pub struct Codes {
+    /// The encoder's counter, read at equal distances over the period, the last time together with the current. It wraps
+    /// at 2¹⁶.
+    pub encoder: [u16; READS],
     /// Code of the armature current's converter, sampled at the end of the period.
     pub current: u16,
     /// Code of the bus voltage's converter.
     pub bus_voltage: u16,
-    /// The encoder's counter, read at equal distances over the period, the last time together with the current. It wraps
-    /// at 2¹⁶.
-    pub encoder: [u16; READS],
     /// How much earlier than that all of them were read, in 1/256 of the distance of two reads. Different in each period, it
     /// keeps any speed from beating with the reads; see [`Reads::Shifted`](crate::sense::Reads::Shifted).
     pub shift: u8,

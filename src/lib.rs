@@ -18,6 +18,7 @@
 //! - [`control`]: the controllers, the quasi-sliding injection and the ultimate bounds.
 //! - [`drive`]: the composer: arming, faults, and [`Drive::step`](drive::Drive::step).
 //! - [`fault`]: everything that stops or limits a drive, in one list; [`supervisor`]: when outputs may be on.
+//! - [`commission`]: the drive measures its own motor.
 //! - [`modulation`], [`shunts`], [`thermistor`]: what boards have in common.
 //! - [`parameters`]: all that a user may set, by name, and how it is kept in flash.
 //! - [`link`]: messages between a drive and a host that commands and watches it.
@@ -97,6 +98,7 @@
 #[cfg(target_os = "none")]
 pub mod board;
 mod checksum;
+pub mod commission;
 pub mod config;
 pub mod control;
 pub mod drive;

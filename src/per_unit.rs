@@ -90,9 +90,8 @@ fn above(x: f32) -> f32 {
     power_of_two(log2_ceil(x))
 }
 
-#[cfg(test)]
 impl Bases {
-    /// For floating point.
+    /// For floating point, which has none.
     pub(crate) const NONE: Self = Self {
         speed: Base(1.0),
         acceleration: Base(1.0),

@@ -290,14 +290,15 @@ impl<S: Scalar> Slow<S> {
 
 impl<S: Scalar> Supervisor<S> {
     /// Builds a drive and its supervisor. Refuses a configuration outside its range, naming the field.
+    // Not inlined, as others that build what is large: a caller would keep this stack while it calls on.
+    #[inline(never)]
     pub fn new(config: &DriveConfig, protection: &Protection) -> Result<Self, ConfigError> {
-        let drive = Drive::new(config)?;
-        let squares = drive.bases().current.squared();
-        let slow = Slow::new(protection, config, drive.bases())?;
+        let bases = Bases::new(config)?;
+        let squares = bases.current.squared();
+        let slow = Slow::new(protection, config, &bases)?;
         Ok(Self {
             mode: Mode::Boot,
             faults: Faults::NONE,
-            drive,
             output: Output::Off,
             mean_square: S::ZERO,
             per_turn: S::gains("protection", [(1.0 / PERIODS as f32, squares)], squares)?,
@@ -306,6 +307,8 @@ impl<S: Scalar> Supervisor<S> {
             turns: 0,
             is_lost: false,
             slow,
+            // Last, and so straight to its place: it is large.
+            drive: Drive::new(config)?,
         })
     }
 
@@ -360,14 +363,15 @@ impl<S: Scalar> Supervisor<S> {
         if conditions.current_sensors == CurrentSensors::Disagree {
             self.latch(Fault::CurrentSensors);
         }
-        let command = self.drive.step(sample);
-        if let drive::Mode::Faulted(fault) = self.drive.mode() {
-            self.latch(fault);
-        }
+        // Ahead of the drive: what it arms drives in this period.
         self.countdown -= 1;
         if self.countdown == 0 {
             self.countdown = PERIODS;
             self.check(conditions);
+        }
+        let command = self.drive.step(sample);
+        if let drive::Mode::Faulted(fault) = self.drive.mode() {
+            self.latch(fault);
         }
         self.output = match (self.mode, command) {
             (Mode::Running | Mode::Stopping, BridgeCommand::Duty(duty)) => {

@@ -235,6 +235,25 @@ mod tests {
     }
 
     #[test]
+    fn brushes_and_dead_time_take_voltage_against_the_current() {
+        let mut board = board(|scenario| {
+            scenario.bridge.dead_time = 1e-6;
+            scenario.bridge.brush_drop = 0.5;
+        });
+        // 2·1 µs of 50 µs of 24 V, and the brushes: 1.46 V.
+        for (current, lost) in [(0.0, 0.0), (0.025, 0.73), (3.0, 1.46), (-3.0, -1.46)] {
+            let voltage = board.bridge.voltage(0.5, 24.0, current, 20_000.0);
+            assert!((voltage - (12.0 - lost)).abs() < 1e-12, "{current} A: {voltage} V");
+        }
+        // Held long enough, the current is what is left over the resistance, less what turns by then.
+        for _ in 0..20 {
+            board.apply(BridgeCommand::Duty(Double(0.2)));
+        }
+        let expected = (4.8 - 1.46 - 59e-3 * board.state().speed) / 0.7;
+        assert!((board.state().current / expected - 1.0).abs() < 0.02, "{:?}", board.state());
+    }
+
+    #[test]
     fn reversed_leads_turn_the_motor_but_not_the_sensor_of_the_current() {
         // What the board sees is a motor that turns backwards: its own current is still that of its own voltage.
         let mut board = board(|scenario| {

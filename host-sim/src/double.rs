@@ -36,7 +36,11 @@ impl Neg for Double {
 
 /// A graded table, with its quadratics in the position itself.
 #[derive(Clone, Debug)]
-pub struct Table(Graded);
+pub struct Table {
+    origin: f64,
+    per_unit: f64,
+    segments: [[f64; 3]; SEGMENTS],
+}
 
 impl Scalar for Double {
     type Gains<const N: usize> = [f64; N];
@@ -104,14 +108,18 @@ impl Scalar for Double {
     }
 
     fn table(_field: &'static str, curve: &Curve, _base: Base) -> Result<Table, ConfigError> {
-        Ok(Table(Graded::new(curve)))
+        let graded = Graded::new(curve);
+        Ok(Table {
+            origin: graded.origin.into(),
+            per_unit: graded.per_unit.into(),
+            segments: std::array::from_fn(|index| graded.segment(index).map(f64::from)),
+        })
     }
 
-    fn look_up(Table(graded): &Table, signal: Self) -> Self {
-        let Graded { origin, per_unit, segments } = graded;
-        let position = f64::from(*per_unit) * signal.0.abs() + f64::from(*origin);
+    fn look_up(table: &Table, signal: Self) -> Self {
+        let position = table.per_unit * signal.0.abs() + table.origin;
         // `as` takes what is below 0 to the first segment.
-        let [c0, c1, c2] = segments[(position as usize).min(SEGMENTS - 1)].map(f64::from);
+        let [c0, c1, c2] = table.segments[(position as usize).min(SEGMENTS - 1)];
         Self((c0 + position * (c1 + position * c2)).copysign(signal.0))
     }
 

@@ -5,6 +5,7 @@
 //! - [`sensors`]: what converters and counters make of the truth;
 //! - [`board`]: the simulated board, which implements [`quasidrive::hal::Board`];
 //! - [`flash`]: a microcontroller's flash, whose power can fail;
+//! - [`commission_bench`]: motors for a drive to measure;
 //! - [`double`]: a double-precision scalar, to run the same laws without rounding in the way;
 //! - [`scenario`]: what to play, read from TOML and checked;
 //! - [`link`]: where the drive runs, here or in [`qemu`];
@@ -21,6 +22,7 @@
 pub mod assignment;
 pub mod board;
 pub mod client;
+pub mod commission_bench;
 pub mod connect;
 pub mod double;
 pub mod emulated;

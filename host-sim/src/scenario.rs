@@ -112,22 +112,30 @@ impl Default for Model {
     }
 }
 
-/// `[bridge]`
-#[derive(Clone, Copy, Debug, Default, Deserialize)]
+/// `[bridge]`, with the motor's brushes.
+#[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Bridge {
     /// Steps of the duty from 0 to 1; none: any duty.
     pub duty_steps: u32,
     /// Dead time of each half-bridge (s).
     pub dead_time: f64,
+    /// Voltage that the motor's brushes take, against the current (V).
+    pub brush_drop: f64,
+    /// Current (A) up to which its ripple lets both change their sign within a period, so that they grow with the current. A motor
+    /// whose current they reverse within a period needs more.
+    pub ripple: f64,
     /// Whether the motor is connected the wrong way round, which the drive does not know.
     pub leads_reversed: bool,
 }
 
-impl Bridge {
-    /// Current (A) up to which its ripple lets the dead time's voltage change its sign within a period.
-    const RIPPLE: f64 = 0.05;
+impl Default for Bridge {
+    fn default() -> Self {
+        Self { duty_steps: 0, dead_time: 0.0, brush_drop: 0.0, ripple: 0.05, leads_reversed: false }
+    }
+}
 
+impl Bridge {
     /// The mean armature voltage (V) of a duty.
     pub fn voltage(&self, duty: f64, bus: f64, current: f64, rate: f64) -> f64 {
         let duty = if self.duty_steps > 0 {
@@ -136,10 +144,10 @@ impl Bridge {
         } else {
             duty
         };
-        // Both half-bridges lose the dead time once a period, against the current.
-        let lost = 2.0 * self.dead_time * rate * (current / Self::RIPPLE).clamp(-1.0, 1.0);
         let duty = if self.leads_reversed { -duty } else { duty };
-        (duty - lost) * bus
+        // Both half-bridges lose the dead time once a period.
+        let lost = 2.0 * self.dead_time * rate * bus + self.brush_drop;
+        duty * bus - lost * (current / self.ripple).clamp(-1.0, 1.0)
     }
 }
 
@@ -575,6 +583,8 @@ impl Scenario {
         non_negative("bridge.dead_time", dead_time)?;
         let short = dead_time * self.timing.rate <= 0.1;
         rule(short, "bridge.dead_time", "must be at most a tenth of a period", dead_time)?;
+        non_negative("bridge.brush_drop", self.bridge.brush_drop)?;
+        positive("bridge.ripple", self.bridge.ripple)?;
         if let Some(sensors) = &self.sensors {
             sensors.check()?;
         }

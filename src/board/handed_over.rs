@@ -19,15 +19,17 @@ impl<T> HandedOver<T> {
         Self { is_there: UnsafeCell::new(false), state: UnsafeCell::new(MaybeUninit::uninit()) }
     }
 
-    /// Hands the state over.
+    /// Hands the state over; gives it for last touches.
     ///
     /// # Safety
-    /// The interrupt must still be masked.
-    pub unsafe fn hand_over(&self, state: T) {
+    /// The interrupt must still be masked, and what is given no longer be used when it no longer is.
+    #[inline]
+    #[allow(clippy::mut_from_ref, reason = "there is no other user yet")]
+    pub unsafe fn hand_over(&self, state: T) -> &mut T {
         // SAFETY: the caller sees to it that there is no other user.
         unsafe {
-            (*self.state.get()).write(state);
             *self.is_there.get() = true;
+            (*self.state.get()).write(state)
         }
     }
 

@@ -298,8 +298,6 @@ impl<S: Scalar> DriveForm<S> {
             holding: S::gains("motor", [(resistance, i), (back_emf, w)], v)?,
             output_share: S::steep("control.output_bandwidth", [(-exp_m1(-wf * h), v)], v)?,
             a2: S::gains("motor", [(a2, i)], a)?,
-            disturbance_injection: Injection::new(torque, 0.0, epsilon1, w)?,
-            voltage_injection: Injection::new(reserve, 0.0, epsilon2, i)?,
             resumption: Resumption {
                 strength: k1,
                 layer: epsilon1,
@@ -307,6 +305,9 @@ impl<S: Scalar> DriveForm<S> {
                 reserve_layer: epsilon2,
                 bases: [w, a, i, v],
             },
+            // Last, and so straight to their places: they are large.
+            disturbance_injection: Injection::new(torque, 0.0, epsilon1, w)?,
+            voltage_injection: Injection::new(reserve, 0.0, epsilon2, i)?,
         })
     }
 

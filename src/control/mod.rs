@@ -143,16 +143,28 @@ pub(crate) enum Controller<S: Scalar> {
 
 impl<S: Scalar> Controller<S> {
     /// Builds a controller. Refuses gains outside their range, naming the field.
-    // Not inlined: the stack of all four would be taken at once, beside that of a drive.
-    #[inline(never)]
     pub fn new(config: &ControlConfig, setting: &Setting) -> Result<Self, ConfigError> {
         setting.timing.check()?;
-        Ok(match config {
-            ControlConfig::Paper(config) => Self::Paper(Paper::new(config, setting)?),
-            ControlConfig::Drive(config) => Self::Drive(DriveForm::new(config, setting)?),
-            ControlConfig::Pi(config) => Self::Pi(CascadedPi::new(config, setting)?),
-            ControlConfig::Ladrc(config) => Self::Ladrc(Ladrc::new(config, setting)?),
-        })
+        match config {
+            ControlConfig::Paper(config) => {
+                Self::apart(|| Ok(Self::Paper(Paper::new(config, setting)?)))
+            }
+            ControlConfig::Drive(config) => {
+                Self::apart(|| Ok(Self::Drive(DriveForm::new(config, setting)?)))
+            }
+            ControlConfig::Pi(config) => {
+                Self::apart(|| Ok(Self::Pi(CascadedPi::new(config, setting)?)))
+            }
+            ControlConfig::Ladrc(config) => {
+                Self::apart(|| Ok(Self::Ladrc(Ladrc::new(config, setting)?)))
+            }
+        }
+    }
+
+    /// Builds with a stack frame of its own: inlined, that of all four would be taken at once.
+    #[inline(never)]
+    fn apart(build: impl FnOnce() -> Result<Self, ConfigError>) -> Result<Self, ConfigError> {
+        build()
     }
 
     /// Follows the motor at a sample while the bridge is off. Gives the speed (rad/s).

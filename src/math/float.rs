@@ -108,11 +108,11 @@ impl Scalar for f32 {
             linear: [0.0; SEGMENTS],
             quadratic: [0.0; SEGMENTS],
         };
-        let entries = table.constant.iter_mut().zip(&mut table.linear).zip(&mut table.quadratic);
-        for (((constant, linear), quadratic), [c0, c1, c2]) in entries.zip(graded.segments) {
-            *constant = c0;
-            *linear = c1 / SEGMENT;
-            *quadratic = c2 / (SEGMENT * SEGMENT);
+        for index in 0..SEGMENTS {
+            let [constant, linear, quadratic] = graded.segment(index);
+            table.constant[index] = constant;
+            table.linear[index] = linear / SEGMENT;
+            table.quadratic[index] = quadratic / (SEGMENT * SEGMENT);
         }
         Ok(table)
     }

@@ -19,36 +19,38 @@ pub struct Curve<'a> {
 }
 
 /// A curve by quadratics on a grid of one wide segment up to its start, equal ones to its end, and the constant 1 beyond.
-#[derive(Clone, Copy, Debug)]
-pub struct Graded {
+pub struct Graded<'a> {
+    curve: &'a Curve<'a>,
+    /// Width of an equal segment, in v.
+    width: f32,
     /// Position of v = 0; the first segment reaches from here to 1.
     pub origin: f32,
     /// Position per unit of the argument.
     pub per_unit: f32,
-    /// Coefficients of each quadratic in the position.
-    pub segments: [[f32; 3]; SEGMENTS],
 }
 
-impl Graded {
-    /// Tabulates a curve.
-    pub fn new(curve: &Curve) -> Self {
-        let &Curve { start, end, unit, value } = curve;
-        // A position is v/width + origin, in segments.
+impl<'a> Graded<'a> {
+    /// The grid of a curve. A position is v/width + origin, in segments.
+    pub fn new(curve: &'a Curve) -> Self {
+        let &Curve { start, end, unit, .. } = curve;
         let (width, origin) = if start > 0.0 {
             let width = (end - start) / (LAST - 1) as f32;
             (width, 1.0 - start / width)
         } else {
             (end / LAST as f32, 0.0)
         };
-        let node = |position: f32| {
-            if position >= LAST as f32 { 1.0 } else { value((position - origin) * width) }
-        };
-        let mut segments = [[1.0, 0.0, 0.0]; SEGMENTS];
-        for (index, segment) in segments.iter_mut().enumerate().take(LAST) {
-            let left = index as f32;
-            *segment = if index == 0 {
-                through_zero(origin, 0.5 * (origin + 1.0), 1.0, node)
-            } else {
+        Self { curve, width, origin, per_unit: 1.0 / (width * unit) }
+    }
+
+    /// Coefficients of a segment's quadratic in the position.
+    pub fn segment(&self, index: usize) -> [f32; 3] {
+        let Self { origin, .. } = *self;
+        let node = |position: f32| self.node(position);
+        let left = index as f32;
+        match index {
+            0 => through_zero(origin, 0.5 * (origin + 1.0), 1.0, node),
+            LAST.. => [1.0, 0.0, 0.0],
+            _ => {
                 let [value, slope, curvature] =
                     rising_parabola([node(left), node(left + 0.5), node(left + 1.0)]);
                 [
@@ -56,9 +58,14 @@ impl Graded {
                     slope - 2.0 * left * curvature,
                     curvature,
                 ]
-            };
+            }
         }
-        Self { origin, per_unit: 1.0 / (width * unit), segments }
+    }
+
+    /// The curve's value at a position.
+    fn node(&self, position: f32) -> f32 {
+        let Self { curve, width, origin, .. } = self;
+        if position >= LAST as f32 { 1.0 } else { (curve.value)((position - origin) * width) }
     }
 }
 

@@ -59,6 +59,8 @@ impl Cross {
             .args(&["--bin", binary])
             // Without it all but errors are compiled out.
             .env("DEFMT_LOG", "info")
+            // A quarter of what it is by default: the stack has better use for it.
+            .env("DEFMT_RTT_BUFFER_SIZE", "256")
             // What the image tells of itself over the link.
             .env("QUASIDRIVE_BUILD", build())
             .run()?;

@@ -66,8 +66,8 @@ pub struct Conversions {
     pub legs: [u16; 2],
     /// Of the bus voltage.
     pub bus_voltage: u16,
-    /// Board temperature (°C).
-    pub temperature: f32,
+    /// Of the board's temperature; [`celsius`] tells it.
+    pub temperature: u16,
 }
 
 /// Starts amplifiers and converters; the latter wait for their trigger. Tells whether all came up.
@@ -135,16 +135,24 @@ fn sequence(converter: Adc, channels: &[u8]) {
 /// This period's conversions, and no interrupt until the next ones.
 #[inline]
 pub fn read() -> Conversions {
-    for converter in [ADC1, ADC2] {
+    let clear = |converter: Adc| {
         converter.isr().write(|w| {
             w.set_jeoc(true);
             w.set_jeos(true);
         });
-    }
+    };
+    clear(ADC1);
+    clear(ADC2);
     let code = |converter: Adc, rank| converter.jdr(rank).read().jdata();
     Conversions {
         legs: [code(ADC1, 0), code(ADC2, 0)],
         bus_voltage: code(ADC1, 1),
-        temperature: Thermistor::NTC_10K_WITH_4K7.celsius(code(ADC1, 2)),
+        temperature: code(ADC1, 2),
     }
+}
+
+/// Temperature of the board (°C).
+#[inline]
+pub fn celsius(code: u16) -> f32 {
+    Thermistor::NTC_10K_WITH_4K7.celsius(code)
 }

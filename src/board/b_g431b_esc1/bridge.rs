@@ -82,7 +82,7 @@ pub struct Bridge {
 /// The share that [`Bridge::apply`] gives a leg, in ticks of the counter.
 fn compare(share: f32) -> u32 {
     // From the top down. `as` takes what rounding left below zero for zero.
-    u32::from(TOP) + 1 - (share * f32::from(TOP) + 0.5) as u32
+    u32::from(TOP) - (share * f32::from(TOP) + 0.5) as u32
 }
 
 /// Ends every output now: the main output enable is cleared, and the pins are low without the core.
@@ -162,12 +162,15 @@ impl Bridge {
     /// Takes a command; it acts from the next trough on. Off acts at once.
     #[inline]
     pub fn apply(&mut self, output: Output<f32>) {
-        let (legs, enabled) = match output {
-            Output::Off | Output::Charge => ([CHARGE.into(); 2], LOW_SIDES),
-            Output::Duty(duty) => (modulation::legs(duty, HIGHEST_SHARE).map(compare), BOTH_SIDES),
+        let ((u, v), enabled) = match output {
+            Output::Off | Output::Charge => ((CHARGE.into(), CHARGE.into()), LOW_SIDES),
+            Output::Duty(duty) => {
+                let [u, v] = modulation::legs(duty, HIGHEST_SHARE);
+                ((compare(u), compare(v)), BOTH_SIDES)
+            }
         };
-        TIM1.ccr(U).write(|w| w.set_ccr(legs[U] as u16));
-        TIM1.ccr(V).write(|w| w.set_ccr(legs[V] as u16));
+        TIM1.ccr(U).write(|w| w.set_ccr(u as u16));
+        TIM1.ccr(V).write(|w| w.set_ccr(v as u16));
         // A low side alone follows the compare values as a high side does: where both were enabled with that one on, the leg would turn over
         // without dead time. So what is enabled changes with outputs off, and the first duty's period begins with them off.
         if output == Output::Off || enabled != self.enabled {

@@ -9,7 +9,8 @@
 //! The core takes the counter as it is: 16 bits that wrap. No position is kept.
 
 use crate::hal::READS;
-use core::sync::atomic::{AtomicU16, Ordering};
+use core::cell::UnsafeCell;
+use core::sync::atomic::{AtomicU16, Ordering, compiler_fence};
 use embassy_stm32::pac::bdma::vals::{Dir, Pl, Size};
 use embassy_stm32::pac::timer::vals::{CcmrInputCcs, FilterValue, Ocm, Sms, Ts, Urs};
 use embassy_stm32::pac::{DMA1, DMAMUX1, TIM3, TIM4};
@@ -30,7 +31,13 @@ const READ_CHANNEL: usize = 0;
 const SHIFT_CHANNEL: usize = 1;
 
 /// Two periods' reads: one that is complete and one that is being filled.
-static COUNTS: [[AtomicU16; READS]; 2] = [const { [const { AtomicU16::new(0) }; READS] }; 2];
+static COUNTS: Halves = Halves([const { UnsafeCell::new([0; READS]) }; 2]);
+
+#[repr(align(4))] // To be copied by words.
+struct Halves([UnsafeCell<[u16; READS]>; 2]);
+
+// SAFETY: DMA writes it, and only the control interrupt reads it.
+unsafe impl Sync for Halves {}
 
 /// Compare value of the period after the one that has begun.
 static NEXT_COMPARE: AtomicU16 = AtomicU16::new(LATEST);
@@ -101,7 +108,7 @@ impl Encoder {
                 w.set_en(true);
             });
         };
-        let counts = COUNTS.as_ptr() as u32;
+        let counts = COUNTS.0.as_ptr() as u32;
         let length = 2 * READS as u16;
         channel(READ_CHANNEL, TIM3_CH1, from_timer, counts, length, Dir::FROM_PERIPHERAL, true);
         let next = NEXT_COMPARE.as_ptr() as u32;
@@ -132,7 +139,10 @@ impl Encoder {
         // What DMA still has to fill: more than a half while it is in the first.
         let is_first_being_filled = usize::from(DMA1.ch(READ_CHANNEL).ndtr().read().ndt()) > READS;
         let complete = usize::from(is_first_being_filled);
-        let reads = COUNTS[complete].each_ref().map(|count| count.load(Ordering::Relaxed));
+        // What is read below is as DMA left it.
+        compiler_fence(Ordering::Acquire);
+        // SAFETY: DMA has left this half, and comes back to it in a period.
+        let reads = unsafe { COUNTS.0[complete].get().read() };
         let is_in_time = self.last != Some(complete);
         self.last = Some(complete);
 

@@ -9,11 +9,14 @@ use super::bridge::{self, Bridge};
 use super::encoder::{Counts, Encoder};
 use crate::board::handed_over::HandedOver;
 use crate::board::slot::Slot;
+use crate::config::ConfigError;
 use crate::drive::ReadyController;
+use crate::fault::{ActiveLimits, Fault, Faults};
 use crate::hal::{Codes, Sample};
 use crate::link::message::{Status, Telemetry};
+use crate::parameters::Parameters;
 use crate::shunts::Shunts;
-use crate::supervisor::{Command, Conditions, Output, Refusal, Supervisor};
+use crate::supervisor::{Command, Conditions, Mode, Output, Refusal, Supervisor};
 use core::sync::atomic::{AtomicU32, Ordering};
 use cortex_m::peripheral::{DWT, NVIC};
 use embassy_stm32::interrupt;
@@ -91,6 +94,9 @@ pub fn set_telemetry(decimation: u32) {
     DECIMATION.store(decimation, Ordering::Relaxed);
 }
 
+/// Periods from one look at the temperature to the next.
+const TEMPERATURE_PERIODS: u32 = 32;
+
 /// What the interrupt works on.
 struct Control {
     supervisor: Supervisor<f32>,
@@ -105,28 +111,39 @@ struct Control {
     since_telemetry: u32,
     /// Whether the last command came too late for its update.
     is_late: bool,
+    /// Of the board, as last looked at (°C).
+    temperature: f32,
 }
 
-/// Hands everything to the interrupt and enables it.
-pub(super) fn start(supervisor: Supervisor<f32>, bridge: Bridge, encoder: Encoder) {
-    let status = status_of(&supervisor);
+/// Hands everything to the interrupt and enables it, with faults that there have been.
+pub(super) fn start(
+    parameters: &Parameters,
+    faults: [Option<Fault>; 2],
+    bridge: Bridge,
+    encoder: Encoder,
+) -> Result<(), ConfigError> {
+    let control = Control {
+        bridge,
+        encoder,
+        shunts: Shunts::new(analogue::SHUNTS),
+        status: Status { mode: Mode::Boot, faults: Faults::NONE, limits: ActiveLimits::NONE },
+        cycles: [0; 2],
+        since_telemetry: 0,
+        is_late: false,
+        temperature: f32::NAN,
+        // Last, and so straight to its place: it is large.
+        supervisor: super::build(parameters)?,
+    };
     // SAFETY: the interrupt is still masked.
-    unsafe {
-        CONTROL.hand_over(Control {
-            supervisor,
-            bridge,
-            encoder,
-            shunts: Shunts::new(analogue::SHUNTS),
-            status,
-            cycles: [0; 2],
-            since_telemetry: 0,
-            is_late: false,
-        });
+    let control = unsafe { CONTROL.hand_over(control) };
+    for fault in faults.into_iter().flatten() {
+        control.supervisor.latch(fault);
     }
     interrupt::ADC1_2.set_priority(interrupt::Priority::P0);
     NVIC::unpend(interrupt::ADC1_2);
     // SAFETY: all that the handler uses is in place.
     unsafe { interrupt::ADC1_2.enable() };
+    Ok(())
 }
 
 #[interrupt]
@@ -148,8 +165,14 @@ impl Control {
         let Counts { reads, shift, is_in_time } = self.encoder.read();
         self.listen();
         let current = self.shunts.read(legs, self.bridge.is_on());
+        let period = PERIODS.load(Ordering::Relaxed).wrapping_add(1);
+        PERIODS.store(period, Ordering::Relaxed);
+        // Nothing else is as slow.
+        if period % TEMPERATURE_PERIODS == 1 {
+            self.temperature = analogue::celsius(temperature);
+        }
         let conditions = Conditions {
-            temperature,
+            temperature: self.temperature,
             current_sensors: self.shunts.state(),
             tripped: self.bridge.has_tripped(),
             overrun: self.is_late || !is_in_time,
@@ -160,9 +183,7 @@ impl Control {
         // The update that these compare values were for has passed.
         self.is_late = bridge::take_update();
 
-        let period = PERIODS.load(Ordering::Relaxed).wrapping_add(1);
-        PERIODS.store(period, Ordering::Relaxed);
-        self.tell(period, output, temperature);
+        self.tell(period, output);
         let [last, longest] = &mut self.cycles;
         *last = DWT::cycle_count().wrapping_sub(start);
         *longest = (*longest).max(*last);
@@ -197,7 +218,7 @@ impl Control {
 
     /// Tells tasks what there is to tell.
     #[inline]
-    fn tell(&mut self, period: u32, output: Output<f32>, temperature: f32) {
+    fn tell(&mut self, period: u32, output: Output<f32>) {
         let status = status_of(&self.supervisor);
         if status != self.status && STATUS.put(status) {
             self.status = status;
@@ -206,13 +227,13 @@ impl Control {
         let decimation = DECIMATION.load(Ordering::Relaxed);
         if decimation > 0 && self.since_telemetry >= decimation {
             self.since_telemetry = 0;
-            self.tell_period(period, output, temperature);
+            self.tell_period(period, output);
         }
     }
 
     #[cold]
     #[inline(never)]
-    fn tell_period(&mut self, period: u32, output: Output<f32>, temperature: f32) {
+    fn tell_period(&mut self, period: u32, output: Output<f32>) {
         let drive = self.supervisor.drive();
         let [current, bus_voltage] = drive.current_and_bus();
         let [reference, voltage, load_torque] = match (drive.telemetry(), output) {
@@ -230,7 +251,7 @@ impl Control {
             voltage,
             bus_voltage,
             load_torque,
-            temperature,
+            temperature: self.temperature,
             interrupt_time,
             longest_interrupt_time,
         });

@@ -15,7 +15,7 @@ use crate::link::session::{Device, Session};
 use crate::link::{BAUD_RATE, BUILD};
 use crate::parameters::Parameters;
 use crate::parameters::store::{Origin, ParameterStore};
-use crate::supervisor::{Command, Mode, Supervisor};
+use crate::supervisor::{Command, Mode};
 use embassy_futures::select::{Either, select};
 use embassy_stm32::flash::Flash;
 use embassy_stm32::interrupt::{InterruptExt, Priority};
@@ -142,8 +142,7 @@ impl Device for Link {
     }
 
     fn change_parameters(&mut self, parameters: &Parameters) -> Result<(), Refusal<'static>> {
-        let supervisor: Supervisor<f32> = build(parameters)?;
-        change(Change::Supervisor(supervisor))?;
+        change(Change::Supervisor(build(parameters)?))?;
         self.parameters = *parameters;
         Ok(())
     }

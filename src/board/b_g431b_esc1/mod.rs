@@ -40,6 +40,9 @@ use crate::sense::Sensors;
 use crate::supervisor::Supervisor;
 use bridge::Bridge;
 use embassy_stm32::interrupt::{InterruptExt, Priority};
+use embassy_stm32::pac::pwr::regs::Cr5;
+use embassy_stm32::pac::rcc::vals::Hpre;
+use embassy_stm32::pac::{PWR, RCC};
 use embassy_stm32::rcc::{self, Hse, HseMode, Pll, PllMul, PllPreDiv, PllRDiv, PllSource, Sysclk};
 use embassy_stm32::time::Hertz;
 use embassy_stm32::{Config, Peri, peripherals};
@@ -64,8 +67,11 @@ pub struct Board {
 }
 
 /// Starts the board, with outputs off, and the control interrupt.
+// Not inlined: a task would keep the stack that this takes for good.
+#[inline(never)]
 pub fn start() -> Board {
     let p = embassy_stm32::init(config());
+    boost();
     pins::start_unused_leg();
     safety::watch_clock();
     let watchdog_reset = safety::take_watchdog_reset().then_some(Fault::WatchdogReset);
@@ -79,20 +85,14 @@ pub fn start() -> Board {
     embassy_stm32::interrupt::TIM1_BRK_TIM15.set_priority(Priority::P8);
 
     let (mut link, bad_parameters) = Link::load(p.FLASH);
-    let supervisor = build(link.parameters());
-    let is_running = match (bridge, supervisor) {
-        (Some(bridge), Ok(mut supervisor)) if is_converting => {
-            for fault in [watchdog_reset, bad_parameters].into_iter().flatten() {
-                supervisor.latch(fault);
-            }
-            interrupt::start(supervisor, bridge, encoder);
-            true
-        }
-        _ => {
-            link.is_dead(Fault::SelfTest);
-            false
-        }
-    };
+    let faults = [watchdog_reset, bad_parameters];
+    let is_running = is_converting
+        && bridge.is_some_and(|bridge| {
+            interrupt::start(link.parameters(), faults, bridge, encoder).is_ok()
+        });
+    if !is_running {
+        link.is_dead(Fault::SelfTest);
+    }
     let port = Port { usart: p.USART2, rx: p.PB4, tx: p.PB3 };
     Board { link, port, led: p.PC6, button: p.PC10, is_running }
 }
@@ -137,6 +137,15 @@ fn config() -> Config {
     config.rcc.mux.adc12sel = rcc::mux::Adcsel::SYS;
     config.bdma_interrupt_priority = Priority::P8;
     config
+}
+
+/// Boost mode, without which the core's clock must not be above 150 MHz (RM0440, dynamic voltage scaling management). embassy-stm32 means
+/// to set it, but stm32-metapac 21 has R1MODE of PWR_CR5 at bit 0, not 8.
+fn boost() {
+    RCC.cfgr().modify(|w| w.set_hpre(Hpre::DIV2));
+    PWR.cr5().write_value(Cr5(0));
+    cortex_m::asm::delay(CYCLES_PER_MICROSECOND);
+    RCC.cfgr().modify(|w| w.set_hpre(Hpre::DIV1));
 }
 
 fn start_cycle_counter() {

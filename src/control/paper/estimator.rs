@@ -40,6 +40,7 @@ pub(super) struct Estimator<S: Scalar> {
 
 impl<S: Scalar> Estimator<S> {
     /// `speed_range` (rad/s) and `z2_range` (rad/s²) bound the mismatch that each channel remembers.
+    #[inline(never)]
     pub fn new(
         config: &PaperConfig,
         timing: &Timing,

@@ -44,15 +44,18 @@ impl<S: Scalar> Paper<S> {
             gains.c,
         )?;
         let law = Backstepping::new(motor, gains, ranges, bases)?;
-        let estimator = match config.law {
-            Law::Backstepping => None,
-            Law::Qsmdo | Law::Qismc => {
-                let ranges = (speed_error_range(ranges), z2_range(ranges, motor, gains));
-                Some(Estimator::new(config, timing, ranges, bases)?)
-            }
-        };
-        let speed = SpeedEstimator::new(&config.speed, shaft, bases)?;
-        Ok(Self { last: Signals::NONE, speed, acceleration: S::ZERO, law, estimator })
+        let ranges = (speed_error_range(ranges), z2_range(ranges, motor, gains));
+        Ok(Self {
+            last: Signals::NONE,
+            speed: SpeedEstimator::new(&config.speed, shaft, bases)?,
+            acceleration: S::ZERO,
+            law,
+            // Straight to its place: it is large.
+            estimator: match config.law {
+                Law::Backstepping => None,
+                Law::Qsmdo | Law::Qismc => Some(Estimator::new(config, timing, ranges, bases)?),
+            },
+        })
     }
 
     pub fn follow(&mut self, measured: &Measured<S>) -> S {

@@ -1,0 +1,780 @@
+//! The drive measures its own motor: one command takes an unknown motor to a model with stated errors, and to a drive that is tuned
+//! for it.
+//!
+//! [`Commission`] is given each period's sample and gives the bridge's command in place of a [`Drive`](crate::drive::Drive). It goes
+//! through the [phases](Phase) below, each of which ends after a bounded time.
+//!
+//! | phase | the bridge | shows |
+//! |---|---|---|
+//! | `Rest` | off | offset and noise of the current; that the shaft rests |
+//! | `Pulses` | short pulses that grow until a current flows | open leads, the current's sign, R and L roughly: enough to control currents by |
+//! | `Launch` | a current that grows, from rest | direction and counts of the encoder, a blocked shaft, how fast the motor is: what current its limits allow |
+//! | `Trial` | currents of two levels and both signs in turn, short windows, slow | the same as `Short`, to control currents better |
+//! | `Short` | again | L; R, and the voltage lost in brushes and dead time |
+//! | `Long` | the same to higher speeds and in longer windows | R, Kb; J, b, Coulomb friction, a constant load |
+//!
+//! In these the sign of the current changes where the shaft has reached a speed, most of the voltage, or the end of its
+//! travel: it swings to and fro. Each sign holds with both levels, so that R is the difference that the level makes to the voltage, what is lost the
+//! difference that the sign makes, and Kb what the speed makes, all of one least-squares fit of sums over windows (`window.rs`). So neither
+//! has the current to settle nor the shaft to stand still, and what brushes and dead time take is no resistance.
+//!
+//! What cannot be told from a drive's own sensors: whether the current's gain and the encoder's counts are what the calibration says.
+//! R, L, Kb and J follow the current's gain. Wrong counts scale Kb and J alike: only the nameplate shows them.
+//!
+//! # In the supervisor
+//!
+//! A mode `Commissioning`, entered from `Ready` by a command (through `Armed`, which charges the bootstrap capacitors), in which
+//! [`Commission::step`] takes the place of the drive's. `Off`, `Stop`, lost commands and every fault call [`Commission::abort`] and take
+//! outputs off at once; over, it goes to `Ready` with outputs off, and the [findings](Commission::findings) are there to be read until the
+//! next start. Heat and temperature are watched as ever, the hardware's own trip too. Samples in codes are the same whatever the drive
+//! computes in. Between two periods [`tuning::Known::tuned`] makes a configuration of the findings, which is saved like any other, on request.
+
+mod current;
+mod findings;
+mod fit;
+mod pulses;
+pub mod tuning;
+mod window;
+
+pub use findings::{Findings, Reason, Value};
+
+use crate::config::{ConfigError, positive, require};
+use crate::control::Timing;
+use crate::hal::{BridgeCommand, Sample};
+use crate::limits::Limits;
+use crate::math::{Scalar, sqrt};
+use crate::per_unit::Bases;
+use crate::sense::{Measured, Sensing, Sensors};
+use current::CurrentLoop;
+use findings::Fits;
+use fit::Fit;
+use pulses::{Pulsed, Pulses};
+use window::{Period, Window};
+
+/// What is known before the motor is measured.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CommissionConfig {
+    /// What the board's samples are. Signs of current and counts may be wrong, and are found.
+    pub sensors: Sensors,
+    /// Sampling rate; a voltage must act a period late.
+    pub timing: Timing,
+    /// Limits that hold at every instant: `duty`, `speed`, `bus_min`, `bus_max`, and `current_command` for the current. (The trip
+    /// `current` is the drive's.)
+    pub limits: Limits,
+    /// How far the shaft may turn to either side of where it stands (rad). Positive; infinite for a shaft that may turn freely.
+    pub travel: f32,
+    /// Speed (rad/s) without load at a voltage (V), from the nameplate, if it is known: checks counts.
+    pub no_load: Option<NoLoad>,
+}
+
+/// A speed without load at a voltage.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NoLoad {
+    /// Speed (rad/s). Positive.
+    pub speed: f32,
+    /// Voltage (V). Positive.
+    pub voltage: f32,
+}
+
+/// What is being done.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Phase {
+    /// Outputs are off: offset and noise.
+    Rest,
+    /// Short pulses of voltage.
+    Pulses,
+    /// One current from rest.
+    Launch,
+    /// To and fro in short windows, to control currents better.
+    Trial,
+    /// To and fro in short windows.
+    Short,
+    /// To and fro in long windows.
+    Long,
+    /// Over: outputs are off.
+    Over,
+}
+
+/// Periods that outputs are off at first.
+const REST: u32 = 2048;
+
+/// The current limit must be this many times the noise's deviation.
+const SIGNAL: f32 = 60.0;
+
+/// Noise over the current limit, at least: what sensors without any are taken for.
+const LEAST_NOISE: f32 = 1e-4;
+
+/// Share of the current limit in pulses. They may go to three times that.
+const PULSE: f32 = 0.25;
+
+/// Shares of the limits of speed and travel above which pulses do not grow.
+const QUIET: f32 = 0.1;
+const QUIET_TRAVEL: f32 = 0.03;
+
+/// Counts of the travel, at least.
+const TRAVEL: f32 = 150.0;
+
+/// Share of the current limit that is the higher level, and share of the highest voltage that it may take at rest.
+const HIGH: f32 = 0.75;
+const HIGH_VOLTAGE: f32 = 0.4;
+
+/// The lower level over the higher one.
+const LOW: f32 = 0.45;
+const LOW_MOST: f32 = 0.75;
+
+/// The ripple's amplitude over the highest voltage by Λ, at most: V/(16·L·rate) at a duty of a half, where Λ is up to 1.6 times L·rate, and
+/// some room. Within it the sign of the current says nothing.
+const RIPPLE: f32 = 0.12;
+
+/// Share of the lower level that the current must not leave for a window to count.
+const WITHIN: f32 = 0.5;
+
+/// Λ/R at least: where the pulses show less, this is stable with any armature.
+const LEAST_INDUCTIVE: f32 = 2.5;
+
+/// Share of the speed limit at which the current turns.
+const TURN_SPEED: f32 = 0.4;
+
+/// Share of the highest voltage at which it turns, and share of the travel that a turn at once may need.
+const TURN_VOLTAGE: f32 = 0.8;
+const TURN_TRAVEL: f32 = 0.6;
+
+/// Share of the highest voltage that may go into the inductance.
+const SLEW: f32 = 0.2;
+
+/// Time in which the launch's current grows to the higher level, and its longest time (s).
+const RAMP: f32 = 0.4;
+const LAUNCH: f32 = 1.5;
+
+/// Time without voltage before it (s).
+const SETTLE: f32 = 0.1;
+
+/// A ramp to turning speed must take this many times what it takes to see it and to turn.
+const QUICK: f32 = 2.5;
+
+/// Periods that a current takes to turn.
+const TURN: f32 = 20.0;
+
+/// Counts that the shaft must turn in it.
+const MOVED: f32 = 4.0;
+
+/// A back-EMF (as a share of the highest voltage) after this time (s) without counts is a missing encoder.
+const BLIND: (f32, f32) = (0.15, 0.02);
+
+/// Time of the trial, of the short windows, and longest and least of the long ones (s).
+const TRIAL: f32 = 0.3;
+const SHORT: f32 = 1.2;
+const LONG: f32 = 10.0;
+const LONG_LEAST: f32 = 3.0;
+
+/// Periods of a window, at least and at most; counts that pass in one at turning speed, at least.
+const WINDOW: (f32, f32) = (16.0, 512.0);
+const WINDOW_COUNTS: f32 = 6.0;
+
+/// Ramps to turning speed in the long windows.
+const RAMPS: f32 = 50.0;
+
+/// Windows from rest to turning speed.
+const WINDOWS: f32 = 8.0;
+
+/// Share of the turning speed from which the shaft does not turn back within two windows.
+const ONWARD: f32 = 0.15;
+
+/// Windows after which a current turns whose shaft is blocked.
+const BLOCKED_WINDOWS: u32 = 16;
+
+/// How far Kb may be from the nameplate's voltage over its speed, either way. Friction and tolerances take up to a fifth; counts in place of lines
+/// are a factor of four.
+const NAMEPLATE: f32 = 1.5;
+
+/// Measures a motor.
+#[derive(Clone, Debug)]
+pub struct Commission {
+    phase: Phase,
+    /// Why it ended before all was seen.
+    stopped: Option<Reason>,
+    /// Periods in this phase.
+    elapsed: u32,
+    sensing: Sensing<f32>,
+    limits: Limits,
+    travel: f32,
+    no_load: Option<NoLoad>,
+    period: f32,
+    rate: f32,
+    /// Angle of a unit of the sensors' rotation, and of its grain (rad).
+    unit: f32,
+    grain: f32,
+    /// Periods that the encoder's reads lie behind the current's.
+    lag: f32,
+    /// Resolution of the current (A).
+    resolution: f32,
+    /// Whether there was a sample.
+    seen: bool,
+    /// ±1: what makes positive duties flow and turn positively.
+    current_sign: f32,
+    turn_sign: f32,
+    offset: f32,
+    /// Sums at rest: of the current, its square, and the bus voltage; then the noise of the current (A).
+    sums: [f32; 3],
+    first_current: f32,
+    noise: f32,
+    bus_voltage: f32,
+    current: f32,
+    /// The period that ended with the last sample.
+    last: Period,
+    speed: f32,
+    /// Speeds at the start and the end of the window before (rad/s).
+    speeds: [f32; 2],
+    /// Periods that the speed is averaged over.
+    averaged: f32,
+    angle: f32,
+    /// Where the launch starts (rad).
+    start: f32,
+    /// The angle, averaged like the speed (rad).
+    late_angle: f32,
+    /// The last command, and the voltage that acts until the next sample (V).
+    duty: f32,
+    acting: f32,
+    pulses: Pulses,
+    control: CurrentLoop,
+    /// The levels of the current (A), and what the higher one is at most.
+    most: f32,
+    high: f32,
+    low: f32,
+    /// Least current in windows that count (A).
+    least: f32,
+    sign: f32,
+    /// Angle where it turned last, in the direction of the current (rad).
+    back: f32,
+    turn_speed: f32,
+    window: Window,
+    before: Window,
+    window_periods: f32,
+    /// Windows since the current turned, and in this phase.
+    windows: u32,
+    all_windows: u32,
+    /// Periods from rest to turning.
+    ramp: f32,
+    armature: Fit,
+    shaft: Fit,
+    fits: Fits,
+}
+
+impl Commission {
+    /// Refuses a configuration outside its range, naming the field.
+    pub fn new(config: &CommissionConfig) -> Result<Self, ConfigError> {
+        let CommissionConfig { sensors, timing, limits, travel, no_load } = *config;
+        timing.check()?;
+        limits.check()?;
+        require(timing.delay, "timing.delay", "must be there for commissioning", 0.0)?;
+        require(travel > 0.0, "travel", "must be positive, or infinite", travel)?;
+        if let Some(NoLoad { speed, voltage }) = no_load {
+            positive("no_load.speed", speed)?;
+            positive("no_load.voltage", voltage)?;
+        }
+        let period = timing.period();
+        let sensing = Sensing::new(&sensors, &limits, timing.rate, &Bases::NONE)?;
+        let shaft = sensors.shaft(period);
+        let turn_speed = TURN_SPEED * limits.speed;
+        let grain = shaft.unit.abs() * shaft.grain;
+        let counted = WINDOW_COUNTS * grain * timing.rate / turn_speed;
+        require(
+            travel >= TRAVEL * grain,
+            "travel",
+            "must be at least 150 counts of the encoder",
+            travel,
+        )?;
+        require(
+            counted <= WINDOW.1,
+            "limits.speed",
+            "must be at least 15 counts in 512 periods, for commissioning",
+            limits.speed,
+        )?;
+        let resolution = match sensors {
+            Sensors::Exact => 0.0,
+            Sensors::Codes(calibration) => calibration.current_per_code.abs(),
+        };
+        Ok(Self {
+            phase: Phase::Rest,
+            stopped: None,
+            elapsed: 0,
+            sensing,
+            limits,
+            travel,
+            no_load,
+            period,
+            rate: timing.rate,
+            unit: shaft.unit,
+            grain,
+            lag: shaft.age * timing.rate,
+            resolution,
+            seen: false,
+            current_sign: 1.0,
+            turn_sign: 1.0,
+            offset: 0.0,
+            sums: [0.0; 3],
+            first_current: 0.0,
+            noise: 0.0,
+            bus_voltage: 0.0,
+            current: 0.0,
+            last: Period::default(),
+            speed: 0.0,
+            speeds: [0.0; 2],
+            averaged: counted.max(WINDOW.0).min(4.0 * WINDOW.0),
+            angle: 0.0,
+            late_angle: 0.0,
+            start: 0.0,
+            duty: 0.0,
+            acting: 0.0,
+            pulses: Pulses::new(PULSE * limits.current_command),
+            control: CurrentLoop::default(),
+            most: HIGH * limits.current_command,
+            high: 0.0,
+            low: 0.0,
+            least: 0.0,
+            sign: 1.0,
+            back: 0.0,
+            turn_speed,
+            window: Window::default(),
+            before: Window::default(),
+            window_periods: 0.0,
+            windows: 0,
+            all_windows: 0,
+            ramp: 0.0,
+            armature: Fit::default(),
+            shaft: Fit::default(),
+            fits: Fits::default(),
+        })
+    }
+
+    /// What is being done.
+    pub fn phase(&self) -> Phase {
+        self.phase
+    }
+
+    /// Turns outputs off for good. What was found until then stays.
+    pub fn abort(&mut self) {
+        self.stop(Reason::Aborted);
+    }
+
+    /// One PWM period: from its sample to the bridge's command. It cannot fail: whatever a sample holds, the duty is finite and
+    /// within its limit, or outputs are off.
+    pub fn step(&mut self, sample: &Sample<f32>) -> BridgeCommand<f32> {
+        let measured = self.sensing.read(sample);
+        if self.phase == Phase::Over {
+            return BridgeCommand::Off;
+        }
+        let Some(measured) = measured else {
+            return self.stop(Reason::BadSample);
+        };
+        let period = self.take(&measured);
+        if let Err(reason) = self.limits_hold(&measured) {
+            return self.stop(reason);
+        }
+        let highest = self.limits.duty * measured.bus_voltage;
+        self.elapsed += 1;
+        let wanted = match self.phase {
+            Phase::Rest => self.rest(measured.bus_voltage),
+            Phase::Pulses => self.pulse(&period, highest),
+            Phase::Launch => self.launch(highest),
+            Phase::Trial | Phase::Short | Phase::Long => self.swing(&period, highest),
+            Phase::Over => Wanted::Off,
+        };
+        // What was asked for before begins to act now.
+        self.acting = self.duty * measured.bus_voltage;
+        let voltage = match wanted {
+            Wanted::Off => {
+                self.duty = 0.0;
+                return BridgeCommand::Off;
+            }
+            Wanted::Voltage(voltage) => voltage,
+            Wanted::Current(current) => self.control.step(self.current, current, highest),
+        };
+        self.duty = (voltage / measured.bus_voltage).limited(self.limits.duty);
+        BridgeCommand::Duty(self.duty)
+    }
+
+    /// Takes a sample in: gives the period before the one that ends with it.
+    fn take(&mut self, measured: &Measured<f32>) -> Period {
+        let current = self.current_sign * (measured.current - self.offset);
+        // The first difference of counts is one to nothing.
+        let advance = if self.seen { measured.rotation.advance } else { 0.0 };
+        self.seen = true;
+        let turned = self.turn_sign * self.unit * advance;
+        let currents = [self.current, current];
+        let last = Period { voltage: self.acting, currents, turned };
+        let before = core::mem::replace(&mut self.last, last);
+        self.current = current;
+        self.angle += turned;
+        self.late_angle += (self.angle - self.late_angle) / self.averaged;
+        self.back = self.back.min(self.sign * self.angle);
+        self.speed += (turned * self.rate - self.speed) / self.averaged;
+        // The encoder's reads lie before the current's: where it was then, this sample and the last one tell.
+        Period { turned: before.turned + self.lag * (turned - before.turned), ..before }
+    }
+
+    fn limits_hold(&self, measured: &Measured<f32>) -> Result<(), Reason> {
+        let Limits { speed, current_command, bus_min, bus_max, .. } = self.limits;
+        // Not the other way round: a NaN holds no limit.
+        let finite = [measured.current, measured.bus_voltage, measured.rotation.advance];
+        if !finite.iter().all(|value| value.is_finite()) {
+            Err(Reason::BadSample)
+        } else if !(bus_min..=bus_max).contains(&measured.bus_voltage) {
+            Err(Reason::BusVoltage)
+        } else if self.current.abs() > current_command {
+            Err(Reason::Overcurrent)
+        } else if self.last.turned.abs() > 2.0 * (speed * self.period + self.grain) {
+            Err(Reason::EncoderJump)
+        } else if self.speed.abs() > speed {
+            Err(Reason::Overspeed)
+        } else if self.angle.abs() > self.travel {
+            Err(Reason::Travel)
+        } else {
+            Ok(())
+        }
+    }
+
+    #[cold]
+    fn stop(&mut self, reason: Reason) -> BridgeCommand<f32> {
+        if self.phase != Phase::Over {
+            self.stopped = Some(reason);
+            self.phase = Phase::Over;
+        }
+        BridgeCommand::Off
+    }
+
+    fn enter(&mut self, phase: Phase) {
+        self.phase = phase;
+        self.elapsed = 0;
+        self.windows = 0;
+        self.all_windows = 0;
+        self.window = Window::default();
+        self.before = Window::default();
+        self.speeds = [0.0; 2];
+        self.armature = Fit::default();
+        self.shaft = Fit::default();
+    }
+
+    /// Outputs off: what the sensors show of nothing.
+    fn rest(&mut self, bus_voltage: f32) -> Wanted {
+        let current = self.current;
+        if self.elapsed == 1 {
+            self.first_current = current;
+        }
+        let difference = current - self.first_current;
+        self.sums[0] += difference;
+        self.sums[1] += difference * difference;
+        self.sums[2] += bus_voltage;
+        if self.angle.abs() > MOVED * self.grain.max(1e-3) {
+            self.stop(Reason::Turning);
+        }
+        if self.elapsed < REST {
+            return Wanted::Off;
+        }
+        let [mean, square, bus_voltage] = self.sums.map(|sum| sum / REST as f32);
+        self.bus_voltage = bus_voltage;
+        self.offset = self.first_current + mean;
+        // What noise there is within a code does not show.
+        let rounding = self.resolution * self.resolution / 12.0;
+        let limit = self.limits.current_command;
+        let noise = sqrt((square - mean * mean).max(0.0) + rounding);
+        self.noise = noise.max(LEAST_NOISE * limit);
+        if self.offset.abs() > PULSE * limit {
+            self.stop(Reason::CurrentZero);
+        } else if limit < SIGNAL * self.noise {
+            self.stop(Reason::NoisyCurrent);
+        } else {
+            self.angle = 0.0;
+            self.enter(Phase::Pulses);
+        }
+        Wanted::Off
+    }
+
+    fn pulse(&mut self, period: &Period, highest: f32) -> Wanted {
+        let least = PULSE * SIGNAL * self.noise;
+        let is_quick = self.speed.abs() > QUIET * self.limits.speed
+            || self.angle.abs() > QUIET_TRAVEL * self.travel;
+        match self.pulses.step(period, self.current, highest, least, is_quick) {
+            Pulsed::Voltage(voltage) => {
+                if core::mem::take(&mut self.pulses.is_reversed) {
+                    self.current_sign = -self.current_sign;
+                    self.current = -self.current;
+                    self.last.currents = self.last.currents.map(|current| -current);
+                }
+                Wanted::Voltage(voltage)
+            }
+            Pulsed::NoCurrent => {
+                self.stop(Reason::LeadOpen);
+                Wanted::Off
+            }
+            Pulsed::Done => {
+                self.plan(highest);
+                Wanted::Voltage(0.0)
+            }
+        }
+    }
+
+    /// Levels and windows, from what the pulses showed.
+    fn plan(&mut self, highest: f32) {
+        let [resistance, lost, _, inductive] = self.pulses.fit.solve([0.0; 4]).values;
+        let known = resistance.max(inductive);
+        if !(known > 0.0 && known.is_finite()) {
+            self.stop(Reason::Unexplained);
+            return;
+        }
+        // Rough as they are, R below Λ/1000 or above what leaves an inductance would be too much.
+        let inductive = inductive.max(LEAST_INDUCTIVE * resistance);
+        self.tune(resistance.max(1e-3 * inductive), lost, inductive, LOW_MOST, highest);
+        self.back = 0.0;
+        if self.high < 0.5 * SIGNAL * self.noise {
+            self.stop(Reason::NoisyCurrent);
+        } else {
+            self.enter(Phase::Launch);
+        }
+    }
+
+    /// The current's control, its levels and short windows for an armature.
+    fn tune(&mut self, resistance: f32, lost: f32, inductive: f32, low: f32, highest: f32) {
+        self.high = self.most.min((HIGH_VOLTAGE * highest - lost) / resistance);
+        let ripple = RIPPLE * highest / inductive;
+        self.low = (low * self.high).max(1.3 * ripple).min(LOW_MOST * self.high);
+        self.least = (WITHIN * self.low).max(ripple).min(0.8 * self.low);
+        self.fits.within_ripple = ripple > self.low;
+        self.control.resistance = resistance;
+        self.control.lost = lost;
+        self.control.inductive = inductive;
+        self.control.slew = (self.high / 12.0).min(SLEW * highest / inductive);
+        let electrical = 0.6 * inductive / resistance;
+        self.window_periods = electrical.max(WINDOW.0).min(0.25 * WINDOW.1);
+    }
+
+    fn launch(&mut self, highest: f32) -> Wanted {
+        let time = self.elapsed as f32 * self.period - SETTLE;
+        if time <= 0.0 {
+            self.start = self.angle;
+            self.late_angle = self.angle;
+            return Wanted::Voltage(0.0);
+        }
+        let moved = (self.angle - self.start).abs();
+        let is_moving = moved > MOVED * self.grain.max(1e-3);
+        let is_fast = self.speed.abs() >= self.turn_speed
+            || self.control.voltage >= TURN_VOLTAGE * highest
+            || 2.0 * moved + self.start.abs() >= TURN_TRAVEL * self.travel;
+        let back_emf = self.control.voltage - self.lost(self.current);
+        if !is_moving && time > BLIND.1 && back_emf > BLIND.0 * highest {
+            self.stop(Reason::EncoderMissing);
+        } else if (is_fast && is_moving) || time > LAUNCH {
+            let is_turning = is_moving && self.speed.abs() * time > 0.5 * moved;
+            if is_turning {
+                self.launched(time, highest);
+            } else {
+                self.fits.unseen = Some(Reason::Blocked);
+            }
+            if self.phase == Phase::Launch {
+                self.turn();
+                self.enter(Phase::Trial);
+            }
+        }
+        Wanted::Current((time / RAMP).min(1.0) * self.high)
+    }
+
+    /// Voltage that a current takes with the shaft at rest (V).
+    fn lost(&self, current: f32) -> f32 {
+        self.control.resistance * current + self.control.lost
+    }
+
+    /// Direction, and from how fast the shaft got how long it takes to turning speed at the higher level; a lower one where that is
+    /// too short to turn in time.
+    fn launched(&mut self, time: f32, highest: f32) {
+        if self.angle < self.start {
+            self.turn_sign = -1.0;
+            self.angle = -self.angle;
+            self.start = -self.start;
+            self.late_angle = -self.late_angle;
+            self.speed = -self.speed;
+            self.last.turned = -self.last.turned;
+        }
+        self.fits.direction = Some(self.turn_sign);
+        // As fast as the voltage allows at the higher level.
+        let back_emf = self.control.voltage - self.lost(self.current);
+        let room = (TURN_VOLTAGE * highest - self.lost(self.high)) / back_emf;
+        let reached = self.speed.min(self.turn_speed);
+        let speed = if room > 0.0 { reached.min(room * self.speed) } else { reached };
+        let acceleration = self.acceleration(time);
+        let least = QUICK * (self.averaged + self.window_periods + TURN);
+        let by_speed = speed / acceleration * self.rate;
+        let by_travel = sqrt(TURN_TRAVEL * self.travel / acceleration) * self.rate;
+        let slowed = by_travel / least;
+        let share = (by_speed / least).min(slowed * slowed).min(1.0);
+        let CurrentLoop { resistance, inductive, lost, .. } = self.control;
+        self.most = share * self.high;
+        self.tune(resistance, lost, inductive, LOW_MOST, highest);
+        self.ramp = by_speed.min(by_travel) / share;
+        let near = speed * (WINDOWS * self.window_periods / self.ramp).min(1.0);
+        let resolved = 0.5 * WINDOW_COUNTS * self.grain * self.rate / self.averaged;
+        self.turn_speed = near.max(resolved).min(speed);
+        self.fits.turn_speed = speed;
+        // Not the other way round: a NaN is nothing seen.
+        let is_seen = self.high >= 0.25 * SIGNAL * self.noise;
+        if !is_seen {
+            self.stop(Reason::TooQuick);
+        }
+    }
+
+    /// At the higher level (rad/s²), from a launch of this time (s). Where friction holds the shaft until some time, and the current goes on
+    /// to grow, the angle is a·τ³/6 and the speed a·τ²/2 after it: together they tell a without that time. Friction helps to turn.
+    fn acceleration(&self, time: f32) -> f32 {
+        let [speed, angle] = [self.speed, self.late_angle - self.start];
+        if time < RAMP {
+            RAMP * 2.0 * speed * speed * speed / (9.0 * angle * angle)
+        } else {
+            speed * speed / (2.0 * angle)
+        }
+    }
+
+    /// The current the other way.
+    fn turn(&mut self) {
+        self.sign = -self.sign;
+        self.back = self.sign * self.angle;
+        self.windows = 0;
+    }
+
+    fn swing(&mut self, period: &Period, highest: f32) -> Wanted {
+        self.window.add(period, self.sign);
+        if self.window.periods >= self.window_periods {
+            self.end_window(highest);
+        }
+        // Two windows at each level: one has the step in it, the other has not.
+        let level = if self.windows & 2 == 0 { self.high } else { self.low };
+        if self.phase == Phase::Over { Wanted::Off } else { Wanted::Current(self.sign * level) }
+    }
+
+    fn end_window(&mut self, highest: f32) {
+        let row = self.window.armature(self.least, self.sign, self.period);
+        if let Some((x, y)) = row {
+            self.armature.add(x, y);
+        }
+        // Friction changes its sign where the shaft turns back. It is told by the speed, whose noise is not that of the row.
+        let [start, middle] = self.speeds;
+        self.speeds = [middle, self.speed];
+        let direction = if self.speed > 0.0 { 1.0 } else { -1.0 };
+        let least = (direction * start).min(direction * self.speed);
+        if least > ONWARD * self.turn_speed {
+            let row = self.window.shaft(&self.before, direction, self.period);
+            if let Some((x, y)) = row {
+                self.shaft.add(x, y);
+            }
+        }
+        let turned_back = self.before.turned() * self.window.turned() <= 0.0;
+        self.before = core::mem::take(&mut self.window);
+        self.windows += 1;
+        self.all_windows += 1;
+        let blocked = self.fits.unseen == Some(Reason::Blocked);
+        let is_far = self.sign * self.speed >= self.turn_speed
+            || self.sign * self.control.voltage >= TURN_VOLTAGE * highest
+            || 2.0 * self.sign * self.angle - self.back >= TURN_TRAVEL * self.travel
+            || (blocked && self.windows >= BLOCKED_WINDOWS);
+        if is_far {
+            self.turn();
+        }
+        let time = self.elapsed as f32 * self.period;
+        match self.phase {
+            Phase::Trial if time >= TRIAL => self.end_trial(highest),
+            Phase::Short if time >= SHORT => self.end_short(blocked),
+            // At rest, or nearly.
+            Phase::Long if time >= LONG || (time >= self.long_time() && turned_back) => {
+                self.fits.long = Some(self.solved());
+                self.fits.shaft = Some(self.shaft.solve([0.0; 4]));
+                self.phase = Phase::Over;
+            }
+            _ => {}
+        }
+    }
+
+    fn long_time(&self) -> f32 {
+        (RAMPS * self.ramp * self.period).clamp(LONG_LEAST, 0.95 * LONG)
+    }
+
+    fn end_trial(&mut self, highest: f32) {
+        let fit::Solution { values, deviations } = self.solved();
+        let [resistance, lost, _, inductive] = values;
+        if deviations[0] < 0.2 * resistance
+            && deviations[3] < 0.2 * inductive
+            && inductive > resistance
+        {
+            self.tune(resistance, lost, inductive, LOW, highest);
+        }
+        self.enter(Phase::Short);
+    }
+
+    fn end_short(&mut self, blocked: bool) {
+        self.fits.short = Some(self.solved());
+
+        if blocked {
+            self.phase = Phase::Over;
+            return;
+        }
+        self.window_periods =
+            (self.ramp / WINDOWS).max(self.window_periods).max(self.averaged).min(WINDOW.1);
+        self.turn_speed = self.fits.turn_speed;
+        self.enter(Phase::Long);
+    }
+
+    /// The armature. Noise in current and angle pulls their unknowns; how much, its variance tells at most: half of it is taken back, and
+    /// the other half is uncertain.
+    fn solved(&self) -> fit::Solution {
+        let per = 1.0 / self.window_periods;
+        let speed = self.grain * self.rate * per;
+        let current = self.noise * per;
+        let noise = [0.0, 0.0, speed * speed / 6.0, 2.0 * current * current];
+        let pulled = self.armature.solve([0.0; 4]);
+        let mut solution = self.armature.solve(noise);
+        for (unknown, pulled) in pulled.values.into_iter().enumerate() {
+            let pull = 0.5 * (solution.values[unknown] - pulled);
+            solution.values[unknown] -= pull;
+            solution.deviations[unknown] += 0.5 * pull.abs();
+        }
+        solution
+    }
+
+    /// What was found until now.
+    pub fn findings(&self) -> Findings {
+        let not_seen = self.stopped.or(self.fits.unseen).unwrap_or(Reason::NotReached);
+        let values = self.fits.values(self.period, not_seen);
+        let [viscous_friction, coulomb_friction, load_torque] = values.torques;
+        Findings {
+            stopped: self.stopped,
+            bus_voltage: self.bus_voltage,
+            current_offset: self.offset,
+            current_noise: self.noise,
+            current_reversed: self.current_sign < 0.0,
+            encoder_reversed: self.fits.direction.map(|sign| sign < 0.0).ok_or(not_seen),
+            resistance: values.resistance,
+            inductance: values.inductance,
+            voltage_drop: values.voltage_drop,
+            back_emf_constant: values.back_emf_constant.and_then(|value| self.plausible(value)),
+            inertia: values.inertia,
+            viscous_friction,
+            coulomb_friction,
+            load_torque,
+        }
+    }
+
+    /// Refuses a Kb that the nameplate contradicts.
+    fn plausible(&self, back_emf: Value) -> Result<Value, Reason> {
+        let Some(NoLoad { speed, voltage }) = self.no_load else { return Ok(back_emf) };
+        let ratio = back_emf.value * speed / voltage;
+        if (1.0 / NAMEPLATE..=NAMEPLATE).contains(&ratio) {
+            Ok(back_emf)
+        } else {
+            Err(Reason::NoLoadSpeed)
+        }
+    }
+}
+
+/// What the bridge is to do.
+enum Wanted {
+    Off,
+    Voltage(f32),
+    Current(f32),
+}

@@ -1,0 +1,175 @@
+//! Short pulses of voltage that grow until a current flows: what they show is enough to control currents by.
+//!
+//! A voltage that grows by the same share each period is safe with any armature: the current grows by no larger share, but for the
+//! first of it, where the bridge's and the brushes' losses end. So it is known, whatever R and L, how far it goes on after it was seen to be enough.
+//! What is enough grows from pulse to pulse, as long as the shaft does not turn too much.
+//! Rise, hold and fall differ in how much of the voltage goes into R, L and the losses, which separates them.
+
+use super::fit::Fit;
+use super::window::{Period, Window};
+
+/// Pulses of the last size, of both signs in turn.
+const PULSES: u32 = 6;
+
+/// The first voltage, as a share of the highest.
+const FIRST: f32 = 0.002;
+
+/// What the voltage grows by in a period. The current comes 2 periods later, and with losses of ten times R·i grows ten times as
+/// much: to less than twice.
+const GROWTH: f32 = 1.03;
+
+/// What it falls by.
+const FALL: f32 = 0.9;
+
+/// Periods that the voltage is held: a current that is only limited by inductance grows by 0.6.
+const HOLD: u32 = 20;
+
+/// Most periods at the highest voltage, and of a fall.
+const LONGEST: u32 = 400;
+
+/// Periods without voltage after a pulse.
+const PAUSE: u32 = 100;
+
+/// Share of a pulse's current from which it counts.
+const COUNTS_FROM: f32 = 0.25;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Stage {
+    Rise,
+    Hold,
+    Fall,
+    Pause,
+}
+
+/// What a step of the pulses comes to.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Pulsed {
+    /// The voltage that is to act next (V).
+    Voltage(f32),
+    /// No current flows at the highest voltage.
+    NoCurrent,
+    /// All are done.
+    Done,
+}
+
+/// The pulses.
+#[derive(Clone, Debug)]
+pub(super) struct Pulses {
+    stage: Stage,
+    /// Periods in this stage, but in the rise at the highest voltage only.
+    periods: u32,
+    done: u32,
+    sign: f32,
+    magnitude: f32,
+    /// Current at which the voltage stops growing (A), now and at most.
+    enough: f32,
+    most: f32,
+    /// Whether this pulse turned the shaft too much for a larger one.
+    is_quick: bool,
+    window: Window,
+    /// Current times periods since the first pulse (A).
+    charge: f32,
+    /// For R, V0, h·Kb²/J and Λ.
+    pub fit: Fit,
+    /// Whether the current was seen to flow against the voltage.
+    pub is_reversed: bool,
+}
+
+impl Pulses {
+    /// Pulses up to a current (A).
+    pub(super) fn new(most: f32) -> Self {
+        Self {
+            stage: Stage::Rise,
+            periods: 0,
+            done: 0,
+            sign: 1.0,
+            magnitude: 0.0,
+            enough: 0.0,
+            most,
+            is_quick: false,
+            window: Window::default(),
+            charge: 0.0,
+            fit: Fit::default(),
+            is_reversed: false,
+        }
+    }
+
+    /// A period, and the current since (A). Less than `least` is taken for none. `is_quick` tells whether the shaft turns too much for
+    /// a larger pulse.
+    pub(super) fn step(
+        &mut self,
+        period: &Period,
+        now: f32,
+        highest: f32,
+        least: f32,
+        is_quick: bool,
+    ) -> Pulsed {
+        let current = now.abs();
+        self.enough = self.enough.max(least);
+        self.is_quick |= is_quick;
+        // A shaft that is free turns as much, and an encoder's few counts would be too coarse.
+        self.charge += 0.5 * (period.currents[0] + period.currents[1]);
+        let counts = self.sign * period.currents[0] >= COUNTS_FROM * self.enough;
+        if counts && self.stage != Stage::Pause {
+            self.window.add(&Period { turned: self.charge, ..*period }, self.sign);
+        }
+        self.periods += 1;
+        match self.stage {
+            Stage::Rise => {
+                self.magnitude = (self.magnitude * GROWTH).max(FIRST * highest);
+                if self.magnitude < highest {
+                    self.periods = 0;
+                }
+                self.magnitude = self.magnitude.min(highest);
+                if self.periods > LONGEST {
+                    // As much as the voltage makes.
+                    if current < least {
+                        return Pulsed::NoCurrent;
+                    }
+                    self.enough = current;
+                    self.most = current;
+                }
+                if current >= self.enough {
+                    self.is_reversed = self.sign * now < 0.0;
+                    self.enter(Stage::Hold);
+                }
+            }
+            Stage::Hold => {
+                if self.periods >= HOLD {
+                    self.enter(Stage::Fall);
+                }
+            }
+            Stage::Fall => {
+                self.magnitude *= FALL;
+                if current < COUNTS_FROM * self.enough || self.periods > LONGEST {
+                    self.enter(Stage::Pause);
+                    self.magnitude = 0.0;
+                }
+            }
+            Stage::Pause => {
+                if self.periods >= PAUSE {
+                    self.done += 1;
+                    self.sign = -self.sign;
+                    self.enter(Stage::Rise);
+                    if !core::mem::take(&mut self.is_quick) && self.enough < self.most {
+                        self.enough = (2.0 * self.enough).min(self.most);
+                        self.fit = Fit::default();
+                        self.done = 0;
+                    }
+                }
+            }
+        }
+        if self.done < PULSES { Pulsed::Voltage(self.sign * self.magnitude) } else { Pulsed::Done }
+    }
+
+    fn enter(&mut self, stage: Stage) {
+        let least = 0.5 * COUNTS_FROM * self.enough;
+        let row = self.window.armature(least, self.sign, 1.0);
+        if let Some((x, y)) = row {
+            self.fit.add(x, y);
+        }
+        self.window = Window::default();
+        self.stage = stage;
+        self.periods = 0;
+    }
+}
