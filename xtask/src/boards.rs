@@ -1,12 +1,14 @@
 //! The boards that firmware is built for.
 
+use crate::shell::root;
+use std::path::PathBuf;
+
 /// Cortex-M4F and M7, M3, M0.
 pub const TARGETS: [&str; 3] =
     ["thumbv7em-none-eabihf", "thumbv7m-none-eabi", "thumbv6m-none-eabi"];
 
 /// A board.
 pub struct Board {
-    /// Its image is `target/firmware/<name>.elf`.
     pub name: &'static str,
     pub binary: &'static str,
     pub features: &'static str,
@@ -19,6 +21,13 @@ pub struct Board {
     pub cold: &'static [&'static str],
     /// The most that the image may take.
     pub budget: Budget,
+}
+
+impl Board {
+    /// Where its image is put.
+    pub fn image(&self) -> PathBuf {
+        root().join(format!("target/firmware/{}.elf", self.name))
+    }
 }
 
 /// Bytes.

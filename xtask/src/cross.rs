@@ -54,7 +54,7 @@ impl Cross {
 
     /// Builds a board's firmware; gives its ELF, at `target/firmware/<board>.elf`.
     pub fn firmware(&self, board: &Board) -> Result<PathBuf> {
-        let Board { name, binary, target, profile, .. } = board;
+        let Board { binary, target, profile, .. } = board;
         self.cargo("build", board)
             .args(&["--bin", binary])
             // Without it all but errors are compiled out.
@@ -65,7 +65,7 @@ impl Cross {
             .env("QUASIDRIVE_BUILD", build())
             .run()?;
         let built = self.target_dir().join(target).join(profile).join(binary);
-        let elf = root().join(format!("target/firmware/{name}.elf"));
+        let elf = board.image();
         fs::create_dir_all(elf.with_file_name(""))?;
         fs::copy(&built, &elf).with_context(|| format!("no {}", built.display()))?;
         Ok(elf)

@@ -36,7 +36,8 @@ enum Task {
     },
     /// The main job: reproduce the paper against the simulated motor and write the report.
     Demo,
-    /// Everything: formatting, lints, host tests, the loop on Cortex-M in QEMU, docs.
+    /// Everything: formatting, lints, host tests, the flash image on the emulated board with the fault campaign, the loop on Cortex-M in
+    /// QEMU, docs.
     Test {
         /// Where the standard library for Cortex-M comes from.
         #[arg(long, default_value = "auto")]
@@ -111,6 +112,15 @@ fn firmware(cross: &Cross, board: &Board) -> Result<()> {
 fn demo() -> Result<()> {
     println!("Set-up: nothing is needed beyond the toolchain that runs this.");
     host_sim(&["paper"])?;
+    // Building it would need a cross toolchain.
+    if boards::B_G431B_ESC1.image().exists() {
+        println!("The flash image that was built last, on the emulated board:");
+        host_sim(&["board", "host-sim/scenarios/esc1.toml", "--report", "target/board.html"])?;
+    } else {
+        println!(
+            "cargo xtask firmware builds the flash image, which the demo then plays on the emulated board."
+        );
+    }
     println!("Next: cargo run --release -p host-sim -- run host-sim/scenarios/load-step.toml");
     Ok(())
 }
@@ -146,6 +156,16 @@ fn processor_in_the_loop() -> Result<()> {
     Ok(())
 }
 
+/// The board's image, byte for byte, on the emulated board: what it does by itself, the paper's cycle held against the averaged board, and the
+/// fault campaign. In `cargo test` these are ignored, for there is no image without a cross toolchain.
+fn virtual_board() -> Result<()> {
+    cargo(&["test", "--release", "--package", "virtual-board", "--", "--ignored"]).run()?;
+    cargo(&["test", "--release", "--package", "host-sim", "--test", "emulated", "--", "--ignored"])
+        .run()?;
+    host_sim(&["board", "host-sim/scenarios/esc1.toml", "--agreement"])?;
+    host_sim(&["campaign"])
+}
+
 fn test(toolchain: ToolchainChoice) -> Result<()> {
     let cross = setup::everything(toolchain)?;
     cargo(&["fmt", "--all", "--check"]).run()?;
@@ -155,6 +175,7 @@ fn test(toolchain: ToolchainChoice) -> Result<()> {
         firmware(&cross, board)?;
     }
     size::size(&cross)?;
+    virtual_board()?;
     processor_in_the_loop()?;
     count::count(&cross, false)?;
     cargo(&["doc", "--workspace", "--no-deps"]).env("RUSTDOCFLAGS", "--deny warnings").run()?;

@@ -301,11 +301,12 @@ fn trips() -> Vec<Trip> {
 const COMMAND_LOST: f64 = 0.3 + 0.5 + 3.0 * 64.0 * PERIOD;
 
 pub fn cases() -> Vec<Case> {
-    let trips = trips().into_iter().map(|trip| Case {
+    let trips = trips().into_iter().enumerate().map(|(index, trip)| Case {
         name: trip.name,
         demand: format!("off by {}; {}", trip.why, names(trip.told)),
         bound: Some(trip.bound),
-        play: Box::new(move |stand| trip.play(stand)),
+        // Multiples of the golden ratio: the faults are spread over the period.
+        play: Box::new(move |stand| trip.play(stand, (0.618 * index as f64).fract())),
     });
     trips.chain([button(), clock(), current_zero()]).collect()
 }
@@ -316,8 +317,10 @@ fn names(faults: &[Fault]) -> String {
 }
 
 impl Trip {
-    fn play(&self, stand: &Stand) -> Result<Finding> {
+    /// Plays it; it happens at a share of the PWM period.
+    fn play(&self, stand: &Stand, share: f64) -> Result<Finding> {
         let mut bench = stand.running(self.speed)?;
+        bench.emulated.run(share * PERIOD)?;
         let injected = self.strike(&bench)?;
         bench.emulated.board().force_interrupt(18, None);
         let mut finding =
