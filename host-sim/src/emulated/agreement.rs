@@ -7,11 +7,12 @@
 //!
 //! - **Noise.** Both drives see the same encoder, at other random shifts, and other noise of the current. Each speed error is as on the averaged
 //!   board in steady running, so the rms of their difference is √2 times that: [`NOISE_RATIO`] allows twice.
-//! - **Dead time.** The averaged board loses 2·f·t·V = 0.77 V against the sign of the current's mean; the switches lose it against the sign of the
-//!   current at each edge. With a ripple of ±V·d·(1 − d)/(4·f·La) ≈ ±0.6 A that differs, by up to 0.77 V, wherever the mean is below the ripple: at
-//!   the start, where there is no current yet, and under light load. To the drive it is a step of the voltage, and
-//!   as large as one of the load by Kb·0.77 V/Ra = 0.065 N·m, of which the drive form makes a dip of 0.84 rad/s per 0.05 N·m at most:
-//!   [`DEAD_TIME_DIP`], for the largest difference. It decays within [`SETTLING`] of each jump.
+//! - **Dead time.** The averaged board loses 2·f·t·V = 0.77 V against the current's mean, less in proportion where that is below `bridge.ripple`;
+//!   the switches lose it against the sign that the current has at each edge. Where the mean is small these differ by up to 0.77 V: at the start, where the
+//!   load comes on at no current. There the averaged drive is armed, too, while the emulated one has been holding the shaft for some
+//!   milliseconds. To the drive it is a step of the voltage, as large as one of the load by Kb·0.77 V/Ra = 0.065 N·m, of
+//!   which this tuning makes a dip of 0.84 rad/s per 0.05 N·m (README): [`DEAD_TIME_DIP`], for the largest difference. It has decayed
+//!   [`SETTLING`] after a jump.
 //! - **Drops** of switches, shunts and diodes, 0.1 V and 1 % of the resistance: constant, and so nothing after the observers have found them.
 
 use super::PERIOD;
@@ -50,6 +51,8 @@ pub struct Agreement {
     pub steady_rms: [f64; 2],
     /// Largest difference of the speeds (rad/s), and what it may be.
     pub largest: [f64; 2],
+    /// When they were apart the most (s).
+    pub largest_at: f64,
     /// Rms speed errors in steady running (rad/s): of the emulated board, and of the averaged one.
     pub errors: [f64; 2],
 }
@@ -72,12 +75,15 @@ impl Agreement {
         };
         let periods = played.truths.iter().zip(&frames).enumerate();
         let difference = |truth: &crate::wired::Truth, frame: &Frame| truth.speed - frame.speed;
-        let (mut whole, mut steady, mut model, mut largest) =
-            (Mean::default(), Mean::default(), Mean::default(), 0.0_f64);
+        let (mut whole, mut steady, mut model) =
+            (Mean::default(), Mean::default(), Mean::default());
+        let (mut largest, mut largest_at) = (0.0, 0.0);
         for (place, (truth, frame)) in periods {
             let apart = difference(truth, frame);
             whole.add(apart);
-            largest = largest.max(apart.abs());
+            if apart.abs() > largest {
+                (largest, largest_at) = (apart.abs(), place as f64 * PERIOD);
+            }
             if is_steady(place) {
                 steady.add(apart);
                 model.add(frame.z1);
@@ -92,6 +98,7 @@ impl Agreement {
             rms: whole.root(),
             steady_rms: [steady.root(), NOISE_RATIO * model.root()],
             largest: [largest, DEAD_TIME_DIP],
+            largest_at,
             errors: [board.root(), model.root()],
         })
     }
@@ -103,10 +110,10 @@ impl Agreement {
 
     /// In words.
     pub fn text(&self) -> String {
-        let Self { delays, reference, rms, steady_rms, largest, errors } = self;
+        let Self { delays, reference, rms, steady_rms, largest, largest_at, errors } = self;
         format!(
             "against the averaged board: commands {delays:?} periods later, references within {reference:.1e} rad/s\n\
-             speeds apart by {rms:.4} rad/s rms; steady {:.4} (allowed {:.4}); {:.3} at most (allowed {:.3})\n\
+             speeds apart by {rms:.4} rad/s rms; steady {:.4} (allowed {:.4}); {:.3} at most (allowed {:.3}), at {largest_at:.4} s\n\
              steady speed error {:.4} rad/s rms, on the averaged board {:.4}",
             steady_rms[0], steady_rms[1], largest[0], largest[1], errors[0], errors[1]
         )
