@@ -47,13 +47,15 @@ struct Finding {
     failure: Option<String>,
 }
 
+type Play = Box<dyn Fn(&Stand) -> Result<Finding> + Send + Sync>;
+
 /// A case of the campaign.
 struct Case {
     name: &'static str,
     demand: String,
     /// Longest time until the bridge is off (s).
     bound: Option<f64>,
-    play: Box<dyn Fn(&Stand) -> Result<Finding> + Send + Sync>,
+    play: Play,
 }
 
 impl Case {
