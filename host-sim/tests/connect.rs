@@ -218,7 +218,7 @@ fn parameters_are_shown_changed_and_saved() {
         .connect(&["parameters", "get", "limits.duty", "reference"])
         .assert()
         .success()
-        .stdout("limits.duty=0.92\nreference=SecondOrder\nreference.bandwidth=40.0\n");
+        .stdout("limits.duty=0.9\nreference=SecondOrder\nreference.bandwidth=40.0\n");
     served
         .connect(&["parameters", "get"])
         .assert()

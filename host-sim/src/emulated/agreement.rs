@@ -6,13 +6,13 @@
 //! What is left, and the tolerances for it:
 //!
 //! - **Noise.** Both drives see the same encoder, at other random shifts, and other noise of the current. Each speed error is as on the averaged
-//!   board in steady running, so the rms of their difference is √2 times that: [`NOISE_RATIO`] allows twice.
+//!   board in steady running, so the rms of their difference is √2 times that: `NOISE_RATIO` allows twice.
 //! - **Dead time.** The averaged board loses 2·f·t·V = 0.77 V against the current's mean, less in proportion where that is below `bridge.ripple`;
 //!   the switches lose it against the sign that the current has at each edge. Where the mean is small these differ by up to 0.77 V: at the start, where the
 //!   load comes on at no current. There the averaged drive is armed, too, while the emulated one has been holding the shaft for some
 //!   milliseconds. To the drive it is a step of the voltage, as large as one of the load by Kb·0.77 V/Ra = 0.065 N·m, of
-//!   which this tuning makes a dip of 0.84 rad/s per 0.05 N·m (README): [`DEAD_TIME_DIP`], for the largest difference. It has decayed
-//!   [`SETTLING`] after a jump.
+//!   which this tuning makes a dip of 0.84 rad/s per 0.05 N·m (README): `DEAD_TIME_DIP`, for the largest difference. It has decayed
+//!   `SETTLING` after a jump.
 //! - **Drops** of switches, shunts and diodes, 0.1 V and 1 % of the resistance: constant, and so nothing after the observers have found them.
 
 use super::PERIOD;

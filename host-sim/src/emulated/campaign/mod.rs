@@ -1,9 +1,9 @@
 //! The fault campaign: what breaks on or around the emulated board, how soon the bridge is off and what the firmware tells of it; and what must
 //! change nothing.
 //!
-//! - [`trips`]: the bridge is off within a bound, stays off until the fault is cleared, and drives again afterwards;
-//! - [`stores`]: parameters in flash, damaged or cut off while they are saved;
-//! - [`holds`]: the motor runs on as if nothing were.
+//! - `trips.rs`: the bridge is off within a bound, stays off until the fault is cleared, and drives again afterwards;
+//! - `stores.rs`: parameters in flash, damaged or cut off while they are saved;
+//! - `holds.rs`: the motor runs on as if nothing were.
 
 mod bench;
 mod holds;
