@@ -251,7 +251,7 @@ fn parameters_are_shown_changed_and_saved() {
         let wanted = format!("limits.duty={value}\n");
         served.connect(&["parameters", "get", "limits.duty"]).assert().success().stdout(wanted);
     };
-    duty(&served, "0.92");
+    duty(&served, "0.9");
     let set = [
         "parameters",
         "set",
@@ -290,7 +290,7 @@ fn parameters_are_shown_changed_and_saved() {
     std::fs::write(&flash, memory).expect("written");
     let served = Served::start(&arguments);
     served.connect(&["status"]).assert().code(3).stdout(contains("17 bad parameters"));
-    duty(&served, "0.92");
+    duty(&served, "0.9");
     served.connect(&["parameters", "save"]).assert().success();
     served.connect(&["clear"]).assert().success();
     served.connect(&["status"]).assert().success().stdout(contains("faults: none"));

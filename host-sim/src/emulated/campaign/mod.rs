@@ -140,6 +140,7 @@ fn cases(only: Option<&str>) -> impl Iterator<Item = Case> {
 pub fn text(outcomes: &[Outcome]) -> String {
     let header = ["", "case", "off after (periods)", "bound", "found", "demanded"];
     let mut table = table(header.map(str::to_owned).to_vec(), 2);
+    table.set_content_arrangement(comfy_table::ContentArrangement::Dynamic).set_width(170);
     for column in [4, 5] {
         if let Some(column) = table.column_mut(column) {
             column.set_cell_alignment(comfy_table::CellAlignment::Left);
