@@ -149,7 +149,7 @@ fn stage(
     let in_force = || Staged { parameters: *device.parameters(), beyond_control: false };
     let mut staged = before.unwrap_or_else(in_force);
     schema::set(&mut staged.parameters, name, value)?;
-    staged.beyond_control |= !name.starts_with("control");
+    staged.beyond_control |= name != "control" && !name.starts_with("control.");
     Ok(staged)
 }
 

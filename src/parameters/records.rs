@@ -1,8 +1,8 @@
 //! Parameters as bytes, readable by other versions of the firmware: a record for each, which is found by the CRC-32 of its name.
 //!
-//! What a firmware does not know it ignores; what it does not find it leaves as it is, also where it knows no such name of a
-//! variant, and then all that this would hold. A variant that is not the one that was there begins with nothing set: no controller
-//! ever sees another one's gains.
+//! What a firmware does not know it ignores; what it does not find it leaves as it is. A variant that is not the one that was there begins
+//! with nothing set: no controller ever sees another one's gains. A variant that it does not know makes the whole unreadable: what was
+//! there instead would run with the other parameters, which are not for it.
 
 use crate::checksum::CRC_32;
 use crate::schema::{Parameter, Value, walk};
@@ -40,6 +40,7 @@ pub fn read(parameter: &mut dyn Parameter, records: &[u8]) -> bool {
             let wanted = record(path, Value::Name(name));
             records.contains(&wanted)
         });
+        fits &= name.is_some() || parameter.names().is_empty() || !has_name(path, records);
         let value = name.map(|name| Value::Name(name)).or_else(|| number(path, records));
         value.is_some_and(|value| {
             let is_set = parameter.set(value);
@@ -71,6 +72,11 @@ fn key_of(path: &str, kind: u8) -> [u8; 4] {
     digest.update(path.as_bytes());
     digest.update(&[kind]);
     digest.finalize().to_le_bytes()
+}
+
+fn has_name(path: &str, records: &[[u8; RECORD]]) -> bool {
+    let key = key_of(path, NAME);
+    records.iter().any(|record| record.starts_with(&key))
 }
 
 fn number(path: &str, records: &[[u8; RECORD]]) -> Option<Value<'static>> {

@@ -317,6 +317,60 @@ fn saved_parameters_outlive_power() {
     assert_eq!(read_parameters(&mut board), changed);
 }
 
+/// What changing to the paper's controller takes of the stack is the most that was found.
+#[test]
+#[ignore = "needs the image: cargo xtask firmware"]
+fn the_stack_has_room_for_the_largest_controller() {
+    let mut board = booted();
+    let name = Value::Name;
+    let number = Value::Number;
+    for (path, value) in [
+        ("control", name("Paper")),
+        ("control.law", name("Qsmdo")),
+        ("control.gains.c", number(200.0)),
+        ("control.gains.k1", number(13e3)),
+        ("control.gains.epsilon1", number(1.0)),
+        ("control.gains.k2", number(4e7)),
+        ("control.gains.epsilon2", number(1e4)),
+        ("control.speed", name("Pll")),
+        ("control.speed.bandwidth", number(500.0)),
+        ("protection.temperature", number(WARM)),
+    ] {
+        ask(&mut board, Request::StageParameter { name: path, value }, done);
+    }
+    ask(&mut board, Request::ApplyParameters, done);
+    run(&mut board, 0.05);
+    ask_within(0.3, &mut board, Request::SaveParameters, done);
+    // The interrupts that may not have come at the deepest place: 852 bytes of the control interrupt's, its frame, the others'.
+    let used = board.stack_use() + 1536;
+    let there = image().stack().len();
+    assert!(used <= there, "{used} of {there} bytes");
+}
+
+#[test]
+#[ignore = "needs the image: cargo xtask firmware"]
+fn every_request_is_answered_while_telemetry_fills_the_line() {
+    let mut board = booted();
+    for decimation in [1, 2, 5] {
+        send(&mut board, Request::SetTelemetry(decimation));
+        run(&mut board, 0.02);
+        for _ in 0..20 {
+            send(&mut board, Request::Status);
+            run(&mut board, 0.02);
+            let (mut decoder, mut answers, mut periods) = (Decoder::new(), 0, 0);
+            for byte in board.received() {
+                match decoder.feed(byte).map(postcard::from_bytes) {
+                    Some(Ok(Message::Answer { .. })) => answers += 1,
+                    Some(Ok(Message::Telemetry(_))) => periods += 1,
+                    Some(Err(_)) | None => {}
+                }
+            }
+            assert_eq!(answers, 1, "one in {decimation}");
+            assert!(periods >= 15, "{periods} periods told in 20 ms, one in {decimation}");
+        }
+    }
+}
+
 #[test]
 #[ignore = "needs the image: cargo xtask firmware"]
 fn power_that_goes_while_saving_leaves_the_old_parameters_or_the_new_ones() {

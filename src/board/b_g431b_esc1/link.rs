@@ -19,7 +19,7 @@ use crate::supervisor::{Command, Mode};
 use embassy_futures::select::{Either, select};
 use embassy_stm32::flash::Flash;
 use embassy_stm32::interrupt::{InterruptExt, Priority};
-use embassy_stm32::usart::{self, BufferedInterruptHandler, BufferedUart};
+use embassy_stm32::usart::{self, BufferedInterruptHandler, BufferedUart, BufferedUartTx};
 use embassy_stm32::{Peri, bind_interrupts, peripherals};
 use embassy_time::Timer;
 use embedded_io_async::{Read, Write};
@@ -88,19 +88,30 @@ impl Link {
         let mut session = Session::default();
         let mut bytes = [0; 64];
         loop {
-            // An error of the line is a byte less: its frame is dropped, and the host asks again.
+            // An error of the line is a byte less: its frame is dropped, and the host waits in vain.
             if let Either::First(Ok(count)) =
                 select(rx.read(&mut bytes), Timer::after_millis(TURN)).await
             {
                 for byte in bytes.iter().take(count) {
                     if let Some(frame) = session.receive(*byte, &mut self) {
-                        let _ = tx.write_all(frame).await;
+                        send(&mut tx, frame).await;
                     }
                 }
             }
             if let Some(frame) = session.telemetry(&mut self) {
-                let _ = tx.write_all(frame).await;
+                send(&mut tx, frame).await;
             }
+        }
+    }
+}
+
+/// Sends a frame. Asks again by itself: a write of embassy-stm32 0.6 that finds too little room at the end of its ring waits for ever.
+async fn send(tx: &mut BufferedUartTx<'_>, mut frame: &[u8]) {
+    while !frame.is_empty() {
+        match select(tx.write(frame), Timer::after_millis(TURN)).await {
+            Either::First(Ok(count)) => frame = frame.get(count..).unwrap_or_default(),
+            Either::First(Err(_)) => return,
+            Either::Second(()) => {}
         }
     }
 }

@@ -110,13 +110,14 @@ fn build(parameters: &Parameters) -> Result<Supervisor<f32>, ConfigError> {
     require(is_ours, "timing", "must be the board's", timing.rate)?;
     let has_window = limits.duty <= bridge::HIGHEST_SHARE;
     require(has_window, "limits.duty", "must leave the low sides' window open", limits.duty)?;
-    if let Sensors::Codes(calibration) = drive.sensors {
-        let zero = f32::from(analogue::SHUNTS.zero());
-        let is_ours =
-            calibration.current_zero == zero && f32::from(calibration.highest_code) == 2.0 * zero;
-        let (field, rule) = ("sensors.current_zero", "and the highest code must be the board's");
-        require(is_ours, field, rule, calibration.current_zero)?;
-    }
+    let Sensors::Codes(calibration) = drive.sensors else {
+        return Err(ConfigError { field: "sensors", rule: "must be Codes", value: 0.0 });
+    };
+    let zero = f32::from(analogue::SHUNTS.zero());
+    let is_ours =
+        calibration.current_zero == zero && f32::from(calibration.highest_code) == 2.0 * zero;
+    let (field, rule) = ("sensors.current_zero", "and the highest code must be the board's");
+    require(is_ours, field, rule, calibration.current_zero)?;
     Supervisor::new(drive, protection)
 }
 
