@@ -5,7 +5,7 @@ use super::{Bus, Cpu};
 use crate::chip::flash;
 use crate::memory::{CCM_SIZE, Ram, SRAM_SIZE};
 use rsemu::cpu::arm::v7m::isa::{Insn, decode, is_32bit};
-use rsemu::cpu::arm::v7m::sys::{Access, Exception, ccr, fsr, in_ppb};
+use rsemu::cpu::arm::v7m::sys::{Access, Exception, ccr, fsr, in_ppb, in_vendor_ppb};
 
 /// Offset of the flash's pages that are read through the bus, which knows of broken cells. The core executes from below only.
 const DATA_PAGES: usize = 0x1_e000;
@@ -119,7 +119,7 @@ impl Cpu {
     /// Reads 1, 2 or 4 bytes.
     pub(super) fn load(&mut self, bus: &mut impl Bus, address: u32, size: usize) -> Done<u32> {
         self.cycles += 1;
-        if in_ppb(address) && !DBGMCU.contains(&address) {
+        if in_ppb(address) && !in_vendor_ppb(address) {
             return self.load_own(address, size);
         }
         self.check_protection(address, size as u32, Access::Read)?;
@@ -142,7 +142,7 @@ impl Cpu {
         value: u32,
     ) -> Done {
         self.cycles += 1;
-        if in_ppb(address) && !DBGMCU.contains(&address) {
+        if in_ppb(address) && !in_vendor_ppb(address) {
             return self.store_own(address, size, value);
         }
         self.check_protection(address, size as u32, Access::Write)?;

@@ -77,15 +77,20 @@ impl Cpu {
             let is_protection = fault.exception == Exception::MEM_MANAGE;
             *if is_protection { &mut self.sys.mmfar } else { &mut self.sys.bfar } = address;
         }
-        let (mut exception, priority) = (fault.exception, self.priority());
-        if !self.sys.is_enabled(exception) || self.sys.priority_of(exception) >= priority {
-            self.sys.hfsr |= fsr::HF_FORCED;
-            exception = Exception::HARD_FAULT;
+        let (exception, priority) = (fault.exception, self.priority());
+        if self.sys.is_enabled(exception) && self.sys.priority_of(exception) < priority {
+            self.enter(exception, self.next, bus);
+        } else {
+            self.take_hard_fault(fsr::HF_FORCED, bus);
         }
-        if exception == Exception::HARD_FAULT && priority <= -1 {
+    }
+
+    fn take_hard_fault(&mut self, status: u32, bus: &mut impl Bus) {
+        self.sys.hfsr |= status;
+        if self.priority() <= -1 {
             self.lock_up();
         } else {
-            self.enter(exception, self.next, bus);
+            self.enter(Exception::HARD_FAULT, self.next, bus);
         }
     }
 
@@ -96,22 +101,16 @@ impl Cpu {
 
     /// SVC.
     pub(super) fn call_supervisor(&mut self, bus: &mut impl Bus) {
-        let mut exception = Exception::SVCALL;
-        if self.sys.priority_of(exception) >= self.priority() {
-            self.sys.hfsr |= fsr::HF_FORCED;
-            exception = Exception::HARD_FAULT;
+        if self.sys.priority_of(Exception::SVCALL) < self.priority() {
+            self.enter(Exception::SVCALL, self.next, bus);
+        } else {
+            self.take_hard_fault(fsr::HF_FORCED, bus);
         }
-        self.enter(exception, self.next, bus);
     }
 
     /// BKPT, without a debugger.
     pub(super) fn hit_breakpoint(&mut self, bus: &mut impl Bus) {
-        self.sys.hfsr |= fsr::HF_DEBUGEVT;
-        if self.priority() <= -1 {
-            self.lock_up();
-        } else {
-            self.enter(Exception::HARD_FAULT, self.next, bus);
-        }
+        self.take_hard_fault(fsr::HF_DEBUGEVT, bus);
     }
 
     /// Stacks the context and goes to a handler (B1.5.6).

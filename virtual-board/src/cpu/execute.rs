@@ -353,6 +353,9 @@ impl Cpu {
         wback: bool,
         before: bool,
     ) -> Done {
+        if list == 0 {
+            return Err(Fault::UNDEFINED);
+        }
         let base = self.reg(rn);
         let moved = moved(base, 4 * list.count_ones(), !before);
         let mut address = if before { moved } else { base };
