@@ -194,3 +194,85 @@ fn compute(op: DataOp, a: u32, n: u32, m: u32, env: Env) -> Option<(u32, Flags)>
         DataOp::Maxnm | DataOp::Minnm => return None,
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Numbers of all magnitudes, subnormal ones and infinities among them.
+    fn numbers() -> impl Iterator<Item = f32> {
+        (0..2000_u32).map(|index| f32::from_bits(index.wrapping_mul(0x9e37_79b9) ^ index >> 3))
+    }
+
+    #[test]
+    fn arithmetic_is_that_of_ieee_754() {
+        let numbers: Vec<f32> = numbers().filter(|number| !number.is_nan()).collect();
+        let check = |op, [a, n, m]: [f32; 3], expected: f32| {
+            let (value, _) =
+                compute(op, a.to_bits(), n.to_bits(), m.to_bits(), Env::ARM).expect("an operation");
+            if expected.is_nan() {
+                assert_eq!(value, 0x7fc0_0000, "{op:?} {a} {n} {m}");
+            } else {
+                assert_eq!(value, expected.to_bits(), "{op:?} {a} {n} {m}");
+            }
+        };
+        for operands in numbers.windows(3) {
+            let [a, n, m] = [operands[0], operands[1], operands[2]];
+            check(DataOp::Add, [a, n, m], n + m);
+            check(DataOp::Sub, [a, n, m], n - m);
+            check(DataOp::Mul, [a, n, m], n * m);
+            check(DataOp::Nmul, [a, n, m], -(n * m));
+            check(DataOp::Div, [a, n, m], n / m);
+            let is_number = !(n * m).is_nan();
+            if is_number {
+                check(DataOp::Mla, [a, n, m], a + n * m);
+                check(DataOp::Mls, [a, n, m], a - n * m);
+                check(DataOp::Nmla, [a, n, m], -a - n * m);
+                check(DataOp::Nmls, [a, n, m], -a + n * m);
+                check(DataOp::Fma, [a, n, m], n.mul_add(m, a));
+                check(DataOp::Fms, [a, n, m], (-n).mul_add(m, a));
+                check(DataOp::Fnma, [a, n, m], (-n).mul_add(m, -a));
+                check(DataOp::Fnms, [a, n, m], n.mul_add(m, -a));
+            }
+            let (root, _) = fp::sqrt(n.abs().to_bits(), Env::ARM);
+            assert_eq!(root, n.abs().sqrt().to_bits());
+        }
+        // Chained and fused differ: (1 + 2^-12)^2 - (1 + 2^-11).
+        let n = (1.0 + 2.0_f32.powi(-12)).to_bits();
+        let a = (-1.0 - 2.0_f32.powi(-11)).to_bits();
+        assert_eq!(compute(DataOp::Mla, a, n, n, Env::ARM).map(|(value, _)| value), Some(0));
+        let fused = compute(DataOp::Fma, a, n, n, Env::ARM).map(|(value, _)| value);
+        assert_eq!(fused, Some(2.0_f32.powi(-24).to_bits()));
+    }
+
+    #[test]
+    fn conversions_saturate_and_make_zero_of_what_is_no_number() {
+        let env = Env::ARM.round(Round::TowardZero);
+        let edges = [2.147_483_6e9, -2.147_483_6e9, 4.294_967_3e9, 3e9, 1.999, -0.5, -7.9, f32::NAN];
+        for value in numbers().chain(edges) {
+            let [signed, unsigned] =
+                [false, true].map(|unsigned| fp::to_fixed(value.to_bits(), 32, unsigned, 0, env).0);
+            assert_eq!((signed as i32, unsigned), (value as i32, value as u32), "{value}");
+        }
+        for value in (0..2000_u32).map(|index| index.wrapping_mul(0x9e37_79b9)) {
+            assert_eq!(fp::from_fixed(value, 32, true, 0, Env::ARM).0, (value as f32).to_bits());
+            let signed = value as i32 as f32;
+            assert_eq!(fp::from_fixed(value, 32, false, 0, Env::ARM).0, signed.to_bits());
+        }
+    }
+
+    #[test]
+    fn what_is_no_number_stays_what_it_was_but_quiet() {
+        let one = 1.0_f32.to_bits();
+        let (quiet, signalling) = (0xffc1_2345, 0x7f81_2345);
+        let add = |n, m| compute(DataOp::Add, 0, n, m, Env::ARM);
+        assert_eq!(add(one, quiet), Some((quiet, Flags::NONE)));
+        // A signalling one goes before a quiet one, and is noted.
+        assert_eq!(add(quiet, signalling), Some((signalling | 1 << 22, Flags::INVALID)));
+        let (infinity, zero) = (f32::INFINITY.to_bits(), 0);
+        let product = compute(DataOp::Mul, 0, infinity, zero, Env::ARM);
+        assert_eq!(product, Some((0x7fc0_0000, Flags::INVALID)));
+        let (order, _) = fp::compare(one, quiet, false, Env::ARM);
+        assert_eq!(order, fpscr::C | fpscr::V);
+    }
+}

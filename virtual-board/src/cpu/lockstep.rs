@@ -10,7 +10,7 @@ use rsemu::core::space::{
     AddressSpace, Mapping, MemAttrs, MemOps, MemResult, Perms, RamStore, Region,
 };
 use rsemu::cpu::arm::v7m::isa::{Insn, decode};
-use rsemu::cpu::arm::v7m::sys::{Exception, control};
+use rsemu::cpu::arm::v7m::sys::{Exception, Sys, control};
 use rsemu::cpu::arm::v7m::{ArmV7m, Config, Regs, xpsr};
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex};
@@ -122,6 +122,7 @@ impl Pair {
         ] {
             space.topology().map_with(mapping).unwrap();
         }
+        stores[0].write_at(0, &bytes(&memory.flash)).unwrap();
         let cpu = Cpu::new(&memory);
         let mut pair =
             Self { cpu, memory, reference: reference(&space), space, stores, player };
@@ -129,18 +130,28 @@ impl Pair {
         pair
     }
 
-    fn rams(&self) -> [&Ram; 3] {
-        [&self.memory.flash, &self.memory.sram, &self.memory.ccm]
+    /// The memories that change, and those of the reference.
+    fn rams(&self) -> [(&Ram, &RamStore); 2] {
+        let [_, sram, ccm] = &self.stores;
+        [(&self.memory.sram, sram), (&self.memory.ccm, ccm)]
     }
 
     fn copy_memory(&mut self) {
-        for (ram, store) in self.rams().into_iter().zip(&self.stores) {
+        for (ram, store) in self.rams() {
             store.write_at(0, &bytes(ram)).unwrap();
         }
     }
 
+    /// Writes code into both SRAMs.
+    fn put(&mut self, address: u32, halves: &[u16]) {
+        for (place, half) in (address..).step_by(2).zip(halves) {
+            self.memory.write(place, 2, (*half).into());
+            self.stores[1].write_at((place - SRAM).into(), &half.to_le_bytes()).unwrap();
+        }
+    }
+
     fn assert_same_memory(&self, context: &str) {
-        for (ram, store) in self.rams().into_iter().zip(&self.stores) {
+        for (ram, store) in self.rams() {
             let mut other = vec![0; store.len() as usize];
             store.read_at(0, &mut other).unwrap();
             let differs = bytes(ram).iter().zip(&other).position(|(a, b)| a != b);
@@ -151,7 +162,7 @@ impl Pair {
     fn step(&mut self, bus: &mut impl Bus, time: u64) -> u64 {
         let before = self.cpu.exception;
         let it = self.cpu.it;
-        let code = self.cpu.fetch(self.cpu.r[15]).map(|code| code.insn).ok();
+        let insn = self.cpu.fetch(self.cpu.r[15]).map(|code| code.insn).ok();
         let mut recorder = Recorder { bus, accesses: VecDeque::new() };
         let cycles = self.cpu.step(&mut recorder, time);
         *self.player.accesses.lock().unwrap() = recorder.accesses;
@@ -164,37 +175,44 @@ impl Pair {
             self.cpu.it = 0;
             self.reference.set_xpsr(self.reference.xpsr() & !xpsr::IT_MASK);
         }
-        let context = format!("after {code:x?} from {:#x}", self.cpu.address);
-        assert_eq!(*self.player.unexpected.lock().unwrap(), None, "{context}");
-        assert!(self.player.accesses.lock().unwrap().is_empty(), "bus {context}");
-        self.assert_same_state(&context);
+        let at = self.cpu.address;
+        let unexpected = *self.player.unexpected.lock().unwrap();
+        assert_eq!(unexpected, None, "{insn:x?} at {at:#x}");
+        assert!(self.player.accesses.lock().unwrap().is_empty(), "bus, {insn:x?} at {at:#x}");
+        self.assert_same_state(insn);
         // It counts stacking twice.
         if self.cpu.exception == before && reference_cycles < 18 {
-            assert_eq!(cycles, reference_cycles, "cycles {context}");
+            assert_eq!(cycles, reference_cycles, "cycles, {insn:x?} at {at:#x}");
         }
-        self.reference.with_sys(|sys| sys.dwt_cyccnt = self.cpu.sys.dwt_cyccnt);
         cycles
     }
 
-    fn assert_same_state(&self, context: &str) {
-        let cpu = &self.cpu;
-        let regs = self.reference.regs();
-        let ours = self.regs();
-        assert_eq!(ours, regs, "{context}\n{ours:x?}\n{regs:x?}");
+    fn assert_same_state(&self, insn: Option<Insn>) {
+        let (cpu, at) = (&self.cpu, self.cpu.address);
+        let (ours, regs) = (self.regs(), self.reference.regs());
+        assert_eq!(ours, regs, "{insn:x?} at {at:#x}\n{ours:x?}\n{regs:x?}");
         for register in 0..32 {
-            assert_eq!(cpu.fpu.s(register), self.reference.s(register), "s{register} {context}");
+            let other = self.reference.s(register);
+            assert_eq!(cpu.fpu.s(register), other, "s{register}, {insn:x?} at {at:#x}");
         }
-        assert_eq!(cpu.fpu.fpscr, self.reference.fpscr(), "{context}");
-        assert_eq!(cpu.is_asleep(), self.reference.is_asleep(), "{context}");
-        assert_eq!(cpu.is_locked_up(), self.reference.is_locked_up(), "{context}");
+        assert_eq!(cpu.fpu.fpscr, self.reference.fpscr(), "{insn:x?} at {at:#x}");
+        let is_at = [cpu.is_asleep(), cpu.is_locked_up()];
+        let other_is_at = [self.reference.is_asleep(), self.reference.is_locked_up()];
+        assert_eq!(is_at, other_is_at, "asleep, locked up, {insn:x?} at {at:#x}");
         let (faults, address) = self.reference.bus_faults();
-        assert_eq!(cpu.fault_address, (faults > 0).then_some(address), "{context}");
-        let (a, b) = (&cpu.sys, self.reference.with_sys(|sys| sys.clone()));
-        let words = |sys: &rsemu::cpu::arm::v7m::sys::Sys| {
-            [sys.cfsr, sys.hfsr, sys.mmfar, sys.bfar, sys.fpccr, sys.fpcar, sys.scr, sys.syst_cvr]
-        };
-        assert_eq!(words(a), words(&b), "{context}");
-        assert_eq!([a.enable, a.pending, a.active], [b.enable, b.pending, b.active], "{context}");
+        let fault_address = (faults > 0).then_some(address);
+        assert_eq!(cpu.fault_address, fault_address, "{insn:x?} at {at:#x}");
+        self.reference.with_sys(|other| {
+            let sys = &cpu.sys;
+            let words = |sys: &Sys| {
+                let others = [sys.fpccr, sys.fpcar, sys.scr, sys.syst_cvr];
+                ([sys.cfsr, sys.hfsr, sys.mmfar, sys.bfar], others)
+            };
+            assert_eq!(words(sys), words(other), "{insn:x?} at {at:#x}");
+            let maps = |sys: &Sys| [sys.enable, sys.pending, sys.active];
+            assert_eq!(maps(sys), maps(other), "{insn:x?} at {at:#x}");
+            other.dwt_cyccnt = sys.dwt_cyccnt;
+        });
     }
 
     fn regs(&self) -> Regs {
@@ -311,18 +329,29 @@ impl Random {
         }
     }
 
-    /// An instruction's half-words.
+    /// An instruction's half-words: of all, and more of those that there are few of.
     fn code(&mut self) -> [u16; 2] {
         let [first, second] = [self.next() as u16, self.next() as u16];
-        match self.below(4) {
-            0 => [first, second],
-            1 => [first | 0xe800, second],
-            2 => [self.pick(&[0xfa00, 0xfb00, 0xf300, 0xea00]) | first & 0xff, second | 0xf000],
+        let low = first & 0xff;
+        match self.below(9) {
+            0 | 1 => [first, second],
+            2 | 3 => [first | 0xe800, second],
+            4 => [self.pick(&[0xfa00, 0xfb00, 0xea00]) | low, second | 0xf000],
+            // Bit fields, saturation.
+            5 => [0xf300 | low, second & 0x7fff],
+            // Special registers, masks, barriers.
+            6 => self.pick(&[
+                [0xf380 | first & 7, 0x8000 | second & 0xc1f],
+                [0xf3ef, 0x8000 | second & 0xf1f],
+                [0xb660 | first & 0x1f, 0],
+                [0xf3bf, 0x8f0f | second & 0x70],
+            ]),
             // Floating point.
-            _ => {
+            7 => {
                 let coprocessor = self.pick(&[0xa00, 0xa00, 0xa00, 0xb00]);
-                [self.pick(&[0xec00, 0xed00, 0xee00]) | first & 0xff, second & 0xf0ff | coprocessor]
+                [self.pick(&[0xec00, 0xed00, 0xee00]) | low, second & 0xf0ff | coprocessor]
             }
+            _ => [0xee00 | low, second & 0xf080 | 0xa10],
         }
     }
 }
@@ -340,6 +369,9 @@ impl Bus for Hashes {
 
 const EXCEPTIONS: [Exception; 4] =
     [Exception::SVCALL, Exception::PEND_SV, Exception(16), Exception(40)];
+
+/// Where the code of tests is.
+const PC: u32 = SRAM + 0x100;
 
 fn random_pair(random: &mut Random) -> Pair {
     let memory = Memory::new();
@@ -381,11 +413,10 @@ fn random_regs(random: &mut Random, pc: u32, exception: u16) -> Regs {
 
 #[test]
 fn single_instructions_do_the_same() {
-    const PC: u32 = SRAM + 0x100;
     let mut random = Random(0x1234_5678_9abc_def1);
     let mut pair = random_pair(&mut random);
     let mut kinds = std::collections::BTreeMap::<String, u32>::new();
-    for round in 0..400_000 {
+    for round in 0..600_000 {
         let halves = random.code();
         let insn = decode(halves[0], halves[1]);
         // The encodings that nothing is in teach nothing.
@@ -397,40 +428,78 @@ fn single_instructions_do_the_same() {
         let exception = if random.one_in(4) { random.pick(&EXCEPTIONS) } else { Exception(0) };
         let mut regs = random_regs(&mut random, PC, exception.0);
         regs.faultmask &= !locks_up;
+        // Nor does it drop the bits of BASEPRI that there are not, or hide stack pointers from code without privilege.
+        if let Insn::Msr { rn: rn @ 0..15, .. } = insn {
+            regs.r[usize::from(rn)] &= !15;
+        }
+        if matches!(insn, Insn::Mrs { .. }) {
+            regs.control &= !control::NPRIV;
+        }
         let active: &[_] = if exception.0 == 0 { &[] } else { &[exception] };
         let fpscr = if random.one_in(4) { random.next() } else { random.next() & 0xf000_009f };
         pair.set(regs, [0; 32].map(|_: u32| random.float()), fpscr, active);
-        for (place, half) in (0..).zip(halves) {
-            pair.memory.write(PC + 2 * place, 2, half.into());
-            let offset = u64::from(PC - SRAM + 2 * place);
-            pair.stores[1].write_at(offset, &half.to_le_bytes()).unwrap();
-        }
+        pair.put(PC, &halves);
         pair.step(&mut Hashes, 0);
         if round % 500 == 0 {
             pair.assert_same_memory(&format!("round {round}"));
         }
         let name = format!("{insn:?}");
-        let kind = name.split(|c: char| !c.is_alphanumeric());
-        let kind: Vec<_> = kind.filter(|word| !word.is_empty()).take(2).collect();
-        let kind = if kind[0] == "Fp" { kind[1] } else { kind[0] };
-        *kinds.entry(kind.to_owned()).or_default() += 1;
+        let name = name.trim_start_matches("Fp(").split([' ', ')']).next().unwrap();
+        *kinds.entry(name.to_owned()).or_default() += 1;
     }
     pair.assert_same_memory("at the end");
-    // Every instruction there is, many times.
-    let rare: Vec<_> = kinds.iter().filter(|(_, count)| **count < 20).collect();
-    assert!(kinds.len() >= 50 && rare.is_empty(), "{} kinds: {kinds:?}", kinds.len());
+    // Every instruction there is, many times; but for two of FPv5, which this core does not know.
+    kinds.retain(|kind, count| *count < 40 && !["CvtMode", "RintMode"].contains(&kind.as_str()));
+    assert!(kinds.is_empty(), "{kinds:?}");
+}
+
+#[test]
+fn it_blocks_do_the_same() {
+    let mut random = Random(0x0123_4567_89ab_cdef);
+    let mut pair = random_pair(&mut random);
+    for _ in 0..50_000 {
+        let condition = random.below(15) << 4;
+        // Short instructions that stay in the block.
+        let mut code = [(); 5].map(|()| (random.next() % 0x4400) as u16);
+        code[0] = (0xbf00 | condition | 1 + random.below(15)) as u16;
+        let mut regs = random_regs(&mut random, PC, 0);
+        regs.xpsr &= !xpsr::IT_MASK;
+        pair.set(regs, [0; 32], 0, &[]);
+        pair.put(PC, &code);
+        for _ in code {
+            pair.step(&mut Hashes, 0);
+        }
+        assert_eq!(pair.cpu.it, 0);
+    }
+}
+
+#[test]
+fn exclusive_stores_do_the_same() {
+    let mut random = Random(0x89ab_cdef_0123_4567);
+    let mut pair = random_pair(&mut random);
+    let [load, store, clear] = [[0xe851, 0x0f00], [0xe841, 0x3200], [0xf3bf, 0x8f2f]];
+    for second in [store, clear, load] {
+        let mut regs = random_regs(&mut random, PC, 0);
+        regs.xpsr &= !xpsr::IT_MASK;
+        regs.r[1] = SRAM + 0x800;
+        pair.set(regs, [0; 32], 0, &[]);
+        // ldrex r0, [r1]; something; strex r2, r3, [r1], twice
+        pair.put(PC, &[load, second, store, store].concat());
+        let mut stored = Vec::new();
+        for _ in 0..4 {
+            pair.step(&mut Hashes, 0);
+            stored.push(pair.cpu.r[2]);
+        }
+        assert_eq!(stored[2..], if second == load { [0, 1] } else { [1, 1] });
+        pair.assert_same_memory("after exclusive stores");
+    }
 }
 
 #[test]
 fn exceptions_return_the_same() {
-    const PC: u32 = SRAM + 0x100;
     let mut random = Random(0x0fed_cba9_8765_4321);
     let mut pair = random_pair(&mut random);
-    for address in [PC, PC + 2] {
-        // bx lr
-        pair.memory.write(address, 2, 0x4770);
-    }
-    pair.copy_memory();
+    pair.put(PC, &[0x4770, 0]); // bx lr
     for round in 0..20_000 {
         let active = [random.pick(&EXCEPTIONS), random.pick(&EXCEPTIONS)];
         let active = &active[..1 + random.below(2) as usize];
@@ -444,7 +513,7 @@ fn exceptions_return_the_same() {
         pair.set(regs, [0; 32].map(|_: u32| random.float()), random.next(), active);
         let (is_lazy, is_pending) = (random.one_in(2), random.one_in(4));
         let next = random.pick(&EXCEPTIONS);
-        let change = |sys: &mut rsemu::cpu::arm::v7m::sys::Sys| {
+        let change = |sys: &mut Sys| {
             sys.fpccr |= u32::from(is_lazy);
             sys.set_enable(next, true);
             if is_pending && !sys.is_active(next) {
