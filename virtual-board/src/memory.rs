@@ -49,7 +49,7 @@ impl Ram {
 
 /// Where in its word an access is: the lowest bit's place, and the bits of so many bytes.
 fn lanes(offset: u32, size: usize) -> (u32, u32) {
-    (8 * (offset & 4 - size as u32), u32::MAX >> (32 - 8 * size))
+    (8 * (offset & (4 - size as u32)), u32::MAX >> (32 - 8 * size))
 }
 
 /// The memories. A clone is another handle on the same ones.

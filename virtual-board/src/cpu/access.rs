@@ -104,11 +104,11 @@ impl Cpu {
     /// An entry of the vector table, by its offset.
     pub(super) fn vector(&self, offset: u32) -> Option<u32> {
         let address = self.sys.vtor.wrapping_add(offset);
-        self.from_flash(address, 4).or_else(|| self.memory.read(address, 4))
+        self.read_flash(address, 4).or_else(|| self.memory.read(address, 4))
     }
 
     /// What the flash has at an address, where it is read without the bus.
-    fn from_flash(&self, address: u32, size: usize) -> Option<u32> {
+    fn read_flash(&self, address: u32, size: usize) -> Option<u32> {
         let offset = match address {
             flash::BASE..CODE_END => address - flash::BASE,
             _ => address,
@@ -159,7 +159,7 @@ impl Cpu {
         if let Some(value) = self.memory.read(address, size) {
             return Ok(value);
         }
-        if let Some(value) = self.from_flash(address, size) {
+        if let Some(value) = self.read_flash(address, size) {
             return Ok(value);
         }
         match address {
@@ -171,13 +171,7 @@ impl Cpu {
         Ok(bus.read(self.time, address, size))
     }
 
-    fn store_aligned(
-        &mut self,
-        bus: &mut impl Bus,
-        address: u32,
-        size: usize,
-        value: u32,
-    ) -> Done {
+    fn store_aligned(&mut self, bus: &mut impl Bus, address: u32, size: usize, value: u32) -> Done {
         if self.memory.write(address, size, value) {
             return Ok(());
         }

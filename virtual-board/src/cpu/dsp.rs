@@ -16,7 +16,7 @@ impl Cpu {
             Insn::HalfMul { op, rd, rn, rm, ra, x, y } => {
                 let [n, m] = [self.reg(rn), self.reg(rm)];
                 let short = half(n, x) * half(m, y);
-                let long = i64::from(n as i32) * half(m, y) >> 16;
+                let long = (i64::from(n as i32) * half(m, y)) >> 16;
                 match op {
                     HalfMulOp::Smul => self.set_reg(rd, short as u32),
                     HalfMulOp::Smulw => self.set_reg(rd, long as u32),

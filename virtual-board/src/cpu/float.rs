@@ -248,7 +248,8 @@ mod tests {
     #[test]
     fn conversions_saturate_and_make_zero_of_what_is_no_number() {
         let env = Env::ARM.round(Round::TowardZero);
-        let edges = [2.147_483_6e9, -2.147_483_6e9, 4.294_967_3e9, 3e9, 1.999, -0.5, -7.9, f32::NAN];
+        let edges =
+            [2.147_483_6e9, -2.147_483_6e9, 4.294_967_3e9, 3e9, 1.999, -0.5, -7.9, f32::NAN];
         for value in numbers().chain(edges) {
             let [signed, unsigned] =
                 [false, true].map(|unsigned| fp::to_fixed(value.to_bits(), 32, unsigned, 0, env).0);

@@ -200,7 +200,8 @@ impl Cpu {
             let condition = Cond(self.it >> 4);
             self.keeps_flags = !code.is_wide;
             if !matches!(code.insn, Insn::It { .. }) {
-                self.it = if self.it & 0b111 == 0 { 0 } else { self.it & 0xe0 | self.it << 1 & 0x1f };
+                self.it =
+                    if self.it & 0b111 == 0 { 0 } else { self.it & 0xe0 | self.it << 1 & 0x1f };
             }
             if !condition.passes(self.apsr) {
                 return Ok(());
@@ -297,7 +298,7 @@ impl Cpu {
 
     fn set_xpsr(&mut self, value: u32) {
         self.apsr = value & (xpsr::FLAGS | xpsr::GE);
-        self.it = (value >> 10 & 0x3f) as u8 * 4 | (value >> 25 & 3) as u8;
+        self.it = (value >> 8 & 0xfc | value >> 25 & 3) as u8;
         self.is_thumb = value & xpsr::T != 0;
         self.exception = (value & xpsr::EXCEPTION) as u16;
     }
