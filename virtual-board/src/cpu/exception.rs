@@ -329,3 +329,130 @@ impl Cpu {
 fn words(first: u32) -> impl Iterator<Item = u32> {
     (0..).map(move |index: u32| first.wrapping_add(4 * index))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::chip::flash;
+    use crate::memory::Memory;
+
+    struct NoBus;
+
+    impl Bus for NoBus {
+        fn read(&mut self, _: u64, _: u32, _: usize) -> u32 {
+            0
+        }
+
+        fn write(&mut self, _: u64, _: u32, _: usize, _: u32) {}
+    }
+
+    /// Enables interrupt 0, then tests r4 for 1 for ever, and changes it only then. The handlers of interrupts set the flag Z; there are
+    /// none of faults.
+    fn core() -> Cpu {
+        let mut code = vec![0_u8; 0x200];
+        let mut put = |address: usize, halves: &[u16]| {
+            for (place, half) in halves.iter().enumerate() {
+                code[address + 2 * place..][..2].copy_from_slice(&half.to_le_bytes());
+            }
+        };
+        put(0, &[0x1000, 0x2000]); // stack
+        put(4, &[0x0101, 0x0800]); // reset
+        put(8, &[0x0141, 0x0800]); // non-maskable interrupt
+        put(12, &[0x0151, 0x0800]); // hard fault
+        put(64, &[0x0141, 0x0800]); // interrupt 0
+        let enable = [
+            0x4804, // ldr r0, =0xe000e100
+            0x2101, // movs r1, #1
+            0x6001, // str r1, [r0]
+            0x2400, // movs r4, #0
+            0x2c01, // 1: cmp r4, #1
+            0xbf04, // itt eq
+            0x2407, // moveq r4, #7
+            0x3407, // addeq r4, #7
+            0xe7fa, // b 1b
+            0xbf00, // nop
+            0xe100, 0xe000,
+        ];
+        put(0x100, &enable);
+        put(0x140, &[0x2000, 0x4770]); // movs r0, #0; bx lr
+        put(0x150, &[0xde00]); // udf
+        let memory = Memory::new();
+        memory.show_flash(0, &code);
+        Cpu::new(&memory)
+    }
+
+    fn steps(cpu: &mut Cpu, count: u32) {
+        for _ in 0..count {
+            cpu.step(&mut NoBus, 0);
+        }
+    }
+
+    #[test]
+    fn an_it_block_goes_on_after_an_interrupt() {
+        let mut interrupted = 0;
+        for before in 5..40 {
+            let mut cpu = core();
+            steps(&mut cpu, before);
+            interrupted += u32::from(cpu.it != 0);
+            cpu.set_interrupts(1, false);
+            assert_eq!(cpu.step(&mut NoBus, 0), ENTRY);
+            assert_eq!(cpu.exception(), 16);
+            cpu.set_interrupts(0, false);
+            steps(&mut cpu, 10);
+            assert_eq!(cpu.exception(), 0);
+            assert_eq!(cpu.r[4], 0, "after {before} steps");
+        }
+        assert!(interrupted > 0);
+    }
+
+    #[test]
+    fn a_non_maskable_interrupt_that_stays_comes_again_after_its_handler_only() {
+        let mut cpu = core();
+        steps(&mut cpu, 10);
+        cpu.set_interrupts(0, true);
+        steps(&mut cpu, 2);
+        assert_eq!(cpu.exception(), Exception::NMI.0);
+        cpu.set_interrupts(0, false);
+        steps(&mut cpu, 1);
+        assert_eq!(cpu.exception(), 0);
+        assert!(!cpu.sys.is_pending(Exception::NMI));
+    }
+
+    #[test]
+    fn an_interrupt_that_stays_is_chained_to_itself() {
+        let mut cpu = core();
+        steps(&mut cpu, 10);
+        cpu.set_interrupts(1, false);
+        steps(&mut cpu, 2);
+        assert_eq!(cpu.step(&mut NoBus, 0), 1 + TAIL_CHAIN);
+        assert_eq!((cpu.exception(), cpu.pc()), (16, flash::BASE + 0x140));
+    }
+
+    #[test]
+    fn what_is_no_instruction_is_a_hard_fault_and_another_one_locks_up() {
+        let mut cpu = core();
+        steps(&mut cpu, 5);
+        cpu.jump(flash::BASE + 0x150);
+        steps(&mut cpu, 1);
+        assert_eq!(cpu.exception(), Exception::HARD_FAULT.0);
+        assert_eq!((cpu.sys.hfsr, cpu.sys.cfsr), (fsr::HF_FORCED, fsr::UF_UNDEFINSTR));
+        assert!(!cpu.is_locked_up());
+        steps(&mut cpu, 1);
+        assert!(cpu.is_locked_up());
+        assert_eq!(cpu.step(&mut NoBus, 0), 1);
+    }
+
+    #[test]
+    fn a_masked_interrupt_wakes_but_is_not_taken() {
+        let mut cpu = core();
+        steps(&mut cpu, 10);
+        cpu.primask = true;
+        cpu.sleep();
+        steps(&mut cpu, 3);
+        assert!(cpu.is_asleep());
+        cpu.set_interrupts(1, false);
+        steps(&mut cpu, 1);
+        assert!(!cpu.is_asleep());
+        assert_eq!(cpu.exception(), 0);
+    }
+}

@@ -274,7 +274,7 @@ impl Cpu {
         Ok(())
     }
 
-    fn sleep(&mut self) {
+    pub(super) fn sleep(&mut self) {
         self.mode = Mode::Asleep;
         // What is pending already wakes it.
         self.is_to_arbitrate = true;

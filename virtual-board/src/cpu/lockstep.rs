@@ -143,6 +143,16 @@ impl Pair {
         }
     }
 
+    fn copy_word(&self, address: u32) {
+        for address in [0, 1, 2, 3].map(|byte| address.wrapping_add(byte)) {
+            if let Some((ram, offset)) = self.memory.at(address) {
+                let store = &self.stores[if std::ptr::eq(ram, &self.memory.sram) { 1 } else { 2 }];
+                let byte = ram.read(offset, 1).unwrap() as u8;
+                store.write_at(offset.into(), &[byte]).unwrap();
+            }
+        }
+    }
+
     /// Takes over what has changed in the core's memories without it.
     fn follow_dma(&self, before: &[Vec<u32>; 2]) {
         for ((ram, store), before) in self.rams().into_iter().zip(before) {
@@ -173,7 +183,7 @@ impl Pair {
 
     fn step(&mut self, bus: &mut impl Bus, time: u64) -> u64 {
         let before = self.cpu.exception;
-        let it = self.cpu.it;
+        let (it, is_on_process_stack) = (self.cpu.it, self.cpu.is_on_process_stack);
         let insn = self.cpu.fetch(self.cpu.r[15]).map(|code| code.insn).ok();
         let mut recorder = Recorder { bus, accesses: VecDeque::new() };
         let cycles = self.cpu.step(&mut recorder, time);
@@ -181,7 +191,9 @@ impl Pair {
         let reference_cycles = self.reference.step();
         // It loses the state of an IT block to an exception, and so does not stack it.
         if it != 0 && self.cpu.exception != before {
-            self.copy_memory();
+            let regs = self.regs();
+            let frame = if is_on_process_stack { regs.psp } else { regs.msp };
+            self.copy_word(frame.wrapping_add(28));
             *self.player.unexpected.lock().unwrap() = None;
         } else if it != 0 && self.cpu.is_locked_up() {
             self.cpu.it = 0;

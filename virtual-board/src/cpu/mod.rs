@@ -15,8 +15,10 @@
 //! | `special` | the special registers |
 //!
 //! One step is an instruction, or the entry to an exception. Cycles are an estimate: those of the Cortex-M4's reference manual without
-//! wait states, as from core-coupled memory, or from flash if its accelerator always had the instruction. Not modelled: bit-band aliases,
-//! which are no memory here; the debugger.
+//! wait states, as from core-coupled memory, or from flash if its accelerator always had the instruction.
+//!
+//! Not modelled: bit-band aliases, which are no memory here; sleep on exit; what beside SEV sets the event register, so that WFE sleeps at
+//! once where a chip that has handled an interrupt meanwhile goes through it one time more; the debugger.
 
 mod access;
 mod alu;
