@@ -1,20 +1,16 @@
 //! The board: core, microcontroller and world, played in time.
 
 use crate::chip::{Cells, Chip, Line, Refused, Reset, Switched, Violated};
-use crate::cpu::{Bus, Cpu, Shared};
+use crate::cpu::{Bus, Cpu};
 use crate::image::Image;
 use crate::memory::Memory;
 use crate::statistics::Statistics;
 use crate::time::{NEVER, Tick, seconds, ticks};
 use crate::world::{Gates, World};
 use std::fmt;
-use std::sync::Arc;
 
 /// Rate at which the other end of the serial line sends (bit/s).
 pub const LINE_RATE: u32 = 921_600;
-
-/// Cycles that the core takes to enter or to leave an exception (Cortex-M4 TRM).
-const ENTRY: u64 = 12;
 
 /// Why the emulation stopped. It says nothing about the hardware: what the hardware does is played on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -49,7 +45,7 @@ pub struct ResetEvent {
 
 /// An emulated board with a world around it.
 pub struct VirtualBoard<W> {
-    shared: Arc<Shared<Chip<W>>>,
+    chip: Chip<W>,
     memory: Memory,
     cpu: Cpu,
     image: Image,
@@ -67,7 +63,7 @@ pub struct VirtualBoard<W> {
     resets: Vec<ResetEvent>,
 }
 
-impl<W: World + Send> Bus for Chip<W> {
+impl<W: World> Bus for Chip<W> {
     fn read(&mut self, time: u64, address: u32, size: usize) -> u32 {
         self.advance(time);
         Chip::read(self, address, size)
@@ -79,7 +75,7 @@ impl<W: World + Send> Bus for Chip<W> {
     }
 }
 
-impl<W: World + Send + 'static> VirtualBoard<W> {
+impl<W: World> VirtualBoard<W> {
     /// A board with an image in its flash and nothing else, just powered.
     pub fn new(image: &Image, world: W) -> Self {
         let mut cells = Cells::new();
@@ -88,10 +84,9 @@ impl<W: World + Send + 'static> VirtualBoard<W> {
         }
         let memory = Memory::new();
         let chip = Chip::new(memory.clone(), cells, Line::new(LINE_RATE), world);
-        let shared = Arc::new(Shared::new(chip));
-        let cpu = Cpu::new(&memory, &shared);
+        let cpu = Cpu::new(&memory);
         let mut board = Self {
-            shared,
+            chip,
             memory,
             cpu,
             image: image.clone(),
@@ -128,10 +123,9 @@ impl<W: World + Send + 'static> VirtualBoard<W> {
                 self.now = self.next.min(end);
                 continue;
             };
-            self.shared.set_time(self.now);
             let cycles = self.step();
             self.now += cycles * cycle;
-            if self.shared.take_touched() {
+            if self.cpu.take_touched() {
                 self.follow(end)?;
             }
             // A step of a sleeping core is one cycle; handlers do not sleep.
@@ -147,45 +141,32 @@ impl<W: World + Send + 'static> VirtualBoard<W> {
         if self.statistics.profiled.is_some_and(|e| e == self.statistics.exception()) {
             self.statistics.execute(self.cpu.pc());
         }
-        let cycles = self.cpu.step();
+        let cycles = self.cpu.step(&mut self.chip, self.now);
         self.instructions += 1;
         self.statistics.step(cycles);
-        // To change exceptions takes long: from 7 cycles on, from one to the next.
-        if cycles < 7 {
-            return cycles;
-        }
-        let before = self.statistics.exception();
         let exception = self.cpu.exception();
-        if exception == before {
-            return cycles;
+        if exception != self.statistics.exception() {
+            self.statistics.follow(exception, |number| self.cpu.is_active(number));
         }
-        self.statistics.follow(exception, |number| self.cpu.is_active(number));
-        // What is handled has to be told to be so, before its level makes it pending again.
-        self.next = self.now;
-        // `rsemu` counts stacking twice.
-        cycles.min(ENTRY)
+        cycles
     }
 
     /// Plays what has happened beside the core, and looks at what follows for it.
     fn follow(&mut self, end: Tick) -> Result<(), Stop> {
-        let shared = Arc::clone(&self.shared);
-        let mut chip = shared.bus();
+        let chip = &mut self.chip;
         if !self.is_powered {
             self.next = NEVER;
             return Ok(());
         }
         chip.advance(self.now);
         if let Some(refused) = chip.refused() {
-            drop(chip);
-            return Err(Stop { refused, pc: self.last_pc(), time: self.now });
+            return Err(Stop { refused, pc: self.cpu.last_pc(), time: self.now });
         }
         if self.now >= chip.watchdog() {
-            drop(chip);
             self.reset(Reset::Watchdog);
             return Ok(());
         }
         if self.cpu.asks_for_reset() {
-            drop(chip);
             self.reset(Reset::Software);
             return Ok(());
         }
@@ -203,33 +184,16 @@ impl<W: World + Send + 'static> VirtualBoard<W> {
         }
         let [high, low] = self.forced;
         let levels = (chip.interrupts() | high) & !low;
-        let are_set = self.cpu.set_interrupts(levels, chip.nmi());
-        self.next = if are_set { chip.next_event() } else { self.now + 1 };
+        self.cpu.set_interrupts(levels, chip.nmi());
+        self.next = chip.next_event();
         Ok(())
-    }
-
-    /// Address of the last instruction.
-    fn last_pc(&self) -> u32 {
-        let next = self.cpu.pc();
-        let half = |address: u32| {
-            let offset = address.wrapping_sub(crate::chip::flash::BASE);
-            let mut bytes = [0; 2];
-            match self.memory.flash.read_at(offset.into(), &mut bytes) {
-                Ok(()) => u32::from(u16::from_le_bytes(bytes)),
-                Err(_) => self.memory.read(address, 2).unwrap_or(0),
-            }
-        };
-        // Instructions of 32 bits begin with 0b11101, 0b11110 or 0b11111.
-        let is_long = half(next.wrapping_sub(4)) >> 11 >= 0b11101;
-        next.wrapping_sub(if is_long { 4 } else { 2 })
     }
 
     // Power and reset
 
     /// Resets the microcontroller now, as the pin or the core would.
     pub fn reset(&mut self, reset: Reset) {
-        let shared = Arc::clone(&self.shared);
-        let mut chip = shared.bus();
+        let chip = &mut self.chip;
         chip.advance(self.now);
         chip.reset(reset);
         let fault_address = self.cpu.fault_address();
@@ -265,41 +229,40 @@ impl<W: World + Send + 'static> VirtualBoard<W> {
 
     /// Looks at the world, or changes it.
     pub fn world<R>(&mut self, act: impl FnOnce(&mut W) -> R) -> R {
-        act(&mut self.shared.bus().world)
+        act(&mut self.chip.world)
     }
 
     /// Sends bytes to the board, one after the other from now on.
     pub fn send(&mut self, bytes: &[u8]) {
-        let mut chip = self.shared.bus();
-        chip.line().send(bytes, self.now);
-        self.next = self.next.min(chip.next_event());
+        self.chip.line().send(bytes, self.now);
+        self.next = self.next.min(self.chip.next_event());
     }
 
     /// Bytes that the board has sent since the last call.
     pub fn received(&mut self) -> Vec<u8> {
-        self.shared.bus().line().received()
+        self.chip.line().received()
     }
 
     // Outputs
 
     /// What the gate drivers are told.
     pub fn gates(&self) -> Gates {
-        self.shared.bus().gates()
+        self.chip.gates()
     }
 
     /// Whether the bridge's timer has its main output enabled.
     pub fn main_output(&self) -> bool {
-        self.shared.bus().main_output()
+        self.chip.main_output()
     }
 
     /// Since when no gate has been on (s); now, if one is.
     pub fn off_since(&self) -> f64 {
-        seconds(self.shared.bus().last_active())
+        seconds(self.chip.last_active())
     }
 
     /// When the main output enable changed.
     pub fn switched(&self) -> Vec<Switched> {
-        self.shared.bus().switched().to_vec()
+        self.chip.switched().to_vec()
     }
 
     // Counts
@@ -322,7 +285,7 @@ impl<W: World + Send + 'static> VirtualBoard<W> {
 
     /// What the firmware did that the data sheet forbids.
     pub fn violations(&self) -> Vec<Violated> {
-        self.shared.bus().violations().to_vec()
+        self.chip.violations().to_vec()
     }
 
     /// Whether the core has locked up.
@@ -340,20 +303,19 @@ impl<W: World + Send + 'static> VirtualBoard<W> {
 
     /// What the flash holds.
     pub fn flash(&self) -> Vec<u8> {
-        self.shared.bus().cells().bytes().to_vec()
+        self.chip.cells().bytes().to_vec()
     }
 
     /// Changes what the flash holds, as a programmer or age would.
     pub fn change_flash(&mut self, change: impl FnOnce(&mut Cells)) {
-        self.shared.bus().change_cells(change);
+        self.chip.change_cells(change);
     }
 
     // Faults to play
 
     /// The crystal stops for good.
     pub fn break_crystal(&mut self) {
-        let shared = Arc::clone(&self.shared);
-        let mut chip = shared.bus();
+        let chip = &mut self.chip;
         chip.advance(self.now);
         chip.break_crystal();
         self.next = self.now;

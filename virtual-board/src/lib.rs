@@ -20,7 +20,7 @@
 //! | [`world`] | what is wired to the pins, for others to implement |
 //! | [`board`] | core, microcontroller and world, played in time; faults to play |
 //! | [`chip`] | the microcontroller's blocks by their registers, one file each, and what connects them |
-//! | `cpu` | the core, by the interpreter of `rsemu` |
+//! | `cpu` | the core: an interpreter around the decoder and the arithmetic of `rsemu` |
 //! | [`image`] | the ELF file |
 //! | [`memory`] | flash and SRAMs as the core sees them |
 //! | [`statistics`] | what interrupts cost |
@@ -48,7 +48,7 @@
 //!   while it is above its threshold.
 //! - **Inaccuracy**: crystal and oscillators are exact, converters ideal but for rounding. Noise, offsets and drift are the world's to add.
 //! - **Gate drivers and power stage**: a pin that nobody drives and nothing pulls counts as low. Interlock and delays are the world's.
-//! - **Registers of the core** that `rsemu` does not model read as zero, and are not refused: ITM, FPB, DWT but for the cycle counter, which
+//! - **Registers of the core** that are not modelled read as zero, and are not refused: ITM, FPB, DWT but for the cycle counter, which
 //!   stands still while the core sleeps, as on the chip.
 //! - Debugger, other low-power modes than sleep, option bytes, CAN, and all that the firmware does not use.
 
