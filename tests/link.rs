@@ -4,6 +4,7 @@ mod common;
 
 use common::{controls, every_name, names, parameters, with_control};
 use proptest::prelude::*;
+use quasidrive::commission::{Findings, Nameplate, Phase, Progress, Reason, Value as Measured};
 use quasidrive::config::ConfigError;
 use quasidrive::control::ControlConfig;
 use quasidrive::fault::{ActiveLimits, Fault, Faults};
@@ -23,6 +24,7 @@ struct Recorder {
     commands: Vec<Command>,
     told: Vec<&'static str>,
     telemetry: Vec<Telemetry>,
+    findings: Option<Findings>,
     refusal: Option<Refusal<'static>>,
 }
 
@@ -34,6 +36,7 @@ impl Recorder {
             commands: Vec::new(),
             told: Vec::new(),
             telemetry: Vec::new(),
+            findings: None,
             refusal: None,
         }
     }
@@ -76,6 +79,19 @@ impl Device for Recorder {
         self.done("save")
     }
 
+    fn commission(&mut self, nameplate: &Nameplate) -> Result<(), Refusal<'static>> {
+        assert_eq!(*nameplate, NAMEPLATE);
+        self.done("commission")
+    }
+
+    fn progress(&self) -> Progress {
+        Progress { phase: Phase::Long, share: 0.25 }
+    }
+
+    fn findings(&mut self) -> Option<Findings> {
+        self.findings
+    }
+
     fn set_telemetry(&mut self, decimation: u32) {
         assert_eq!(decimation, 7);
         self.told.push("telemetry");
@@ -85,6 +101,36 @@ impl Device for Recorder {
         self.telemetry.pop()
     }
 }
+
+const NAMEPLATE: Nameplate = Nameplate {
+    voltage: Some(24.0),
+    no_load_speed: None,
+    counts_per_turn: Some(-4096),
+    current: Some(5.0),
+    speed: Some(300.0),
+    travel: None,
+};
+
+/// As long as they can be.
+const FINDINGS: Findings = {
+    const SEEN: Result<Measured, Reason> = Ok(Measured { value: 1.0, uncertainty: 0.125 });
+    Findings {
+        stopped: Some(Reason::NoLoadSpeed),
+        bus_voltage: 24.0,
+        current_offset: -0.25,
+        current_noise: 0.5,
+        current_reversed: true,
+        encoder_reversed: Ok(false),
+        resistance: SEEN,
+        inductance: SEEN,
+        voltage_drop: SEEN,
+        back_emf_constant: SEEN,
+        inertia: SEEN,
+        viscous_friction: SEEN,
+        coulomb_friction: SEEN,
+        load_torque: SEEN,
+    }
+};
 
 fn frame(sequence: u16, request: Request) -> Vec<u8> {
     bytes(&Numbered { sequence, request })
@@ -399,6 +445,45 @@ fn telemetry_comes_when_asked_for_between_answers() {
 }
 
 #[test]
+fn a_motor_is_measured_where_the_drive_is_ready_only() {
+    for mode in [Mode::Ready, Mode::Armed, Mode::Running, Mode::Commissioning, Mode::Faulted] {
+        let mut device = Recorder::new(mode);
+        let is_ready = mode == Mode::Ready;
+        let expected = if is_ready { Answer::Done } else { Answer::Refused(Refusal::Mode(mode)) };
+        ask(&mut device, Request::Commission(NAMEPLATE), |answer| assert_eq!(answer, expected));
+        assert_eq!(device.told.contains(&"commission"), is_ready, "{mode:?}");
+    }
+    let mut device = Recorder::new(Mode::Ready);
+    device.refusal = Some(Refusal::Config { field: "travel", rule: "must", value: 0.0 });
+    ask(&mut device, Request::Commission(NAMEPLATE), |answer| {
+        assert!(matches!(answer, Answer::Refused(Refusal::Config { field: "travel", .. })));
+    });
+}
+
+#[test]
+fn progress_is_told_at_any_time_and_findings_with_outputs_off() {
+    let mut device = Recorder::new(Mode::Commissioning);
+    let progress = Progress { phase: Phase::Long, share: 0.25 };
+    ask(&mut device, Request::ReadProgress, |answer| {
+        assert_eq!(answer, Answer::Progress(progress));
+    });
+    device.findings = Some(FINDINGS);
+    ask(&mut device, Request::ReadFindings, |answer| {
+        assert_eq!(answer, Answer::Refused(Refusal::Mode(Mode::Commissioning)));
+    });
+    for mode in [Mode::Ready, Mode::Faulted] {
+        device.mode = mode;
+        ask(&mut device, Request::ReadFindings, |answer| {
+            assert_eq!(answer, Answer::Findings(FINDINGS));
+        });
+    }
+    device.findings = None;
+    ask(&mut device, Request::ReadFindings, |answer| {
+        assert_eq!(answer, Answer::Refused(Refusal::NotCommissioned));
+    });
+}
+
+#[test]
 fn the_longest_message_fits() {
     // The longest refusals of a value are in `tests/parameters.rs`.
     let longest = "x".repeat(LONGEST_PATH);
@@ -413,6 +498,8 @@ fn the_longest_message_fits() {
         build: "0123456789012345678901234567890123456789-dirty",
     };
     let answer = Answer::Identity(identity);
+    assert!(bytes(&Message::Answer { sequence: u16::MAX, answer }).len() <= LONGEST);
+    let answer = Answer::Findings(FINDINGS);
     assert!(bytes(&Message::Answer { sequence: u16::MAX, answer }).len() <= LONGEST);
     let text = "x".repeat(LONGEST);
     assert_eq!(encode(&text.as_str(), &mut [0; LONGEST]), None, "what does not fit is no frame");

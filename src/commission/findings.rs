@@ -2,9 +2,11 @@
 
 use super::fit::Solution;
 use crate::math::{atanh, sqrt};
+use core::fmt;
+use serde::{Deserialize, Serialize};
 
 /// A measured value.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Value {
     /// The value, in its SI unit.
     pub value: f32,
@@ -34,7 +36,7 @@ impl Value {
 }
 
 /// Why something was not seen, or commissioning ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Reason {
     /// [`Commission::abort`](super::Commission::abort).
     Aborted,
@@ -76,8 +78,38 @@ pub enum Reason {
     NoLoadSpeed,
 }
 
+impl fmt::Display for Reason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Aborted => "aborted",
+            Self::NotReached => "it has not come to that",
+            Self::BadSample => "a sample held no number",
+            Self::BusVoltage => "the bus voltage was outside its limits",
+            Self::Overcurrent => "the current was beyond its limit",
+            Self::Overspeed => "the speed was beyond its limit",
+            Self::Travel => "the shaft turned further than its travel",
+            Self::EncoderJump => {
+                "the encoder moved further in a period than the speed limit allows"
+            }
+            Self::Turning => "the shaft turned with outputs off",
+            Self::CurrentZero => "the current sensor showed a current with outputs off",
+            Self::NoisyCurrent => "the current limit is too low for the noise of the current",
+            Self::LeadOpen => "no current flowed: a motor lead is open",
+            Self::Unexplained => "pulses of voltage made a current that no armature makes",
+            Self::Blocked => "the shaft did not turn: it is blocked",
+            Self::EncoderMissing => "the motor turned, and the encoder did not count",
+            Self::TooQuick => "the limits of speed or travel leave no time to turn the shaft back",
+            Self::Ripple => "the currents that the limits allow are within their own ripple",
+            Self::Imprecise => "not known to within half of it: the limits leave too little to see",
+            Self::NoLoadSpeed => {
+                "the nameplate says otherwise: wrong counts per turn, or another motor"
+            }
+        })
+    }
+}
+
 /// All that commissioning finds.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Findings {
     /// Why it ended early, if it did.
     pub stopped: Option<Reason>,

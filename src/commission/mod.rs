@@ -23,20 +23,22 @@
 //!
 //! # In the supervisor
 //!
-//! A mode `Commissioning`, entered from `Ready` by a command (through `Armed`, which charges the bootstrap capacitors), in which
-//! [`Commission::step`] takes the place of the drive's. `Off`, `Stop`, lost commands and every fault call [`Commission::abort`] and take
-//! outputs off at once; over, it goes to `Ready` with outputs off, and the [findings](Commission::findings) are there to be read until the
-//! next start. Heat and temperature are watched as ever, the hardware's own trip too. Samples in codes are the same whatever the drive
-//! computes in. Between two periods [`tuning::Known::tuned`] makes a configuration of the findings, which is saved like any other, on request.
+//! [`Supervisor::start_commissioning`](crate::supervisor::Supervisor::start_commissioning) begins it, and
+//! [`Supervisor::step_commissioning`](crate::supervisor::Supervisor::step_commissioning) lets [`Commission::step`] take the place of the
+//! drive's. `Off`, `Stop`, lost commands and every fault take outputs off at once. The [findings](Commission::findings) are there to be read
+//! until the next start. A host makes a configuration of them ([`tuning::Known::tuned`]), which is applied and saved like any other.
+//! For drives in `f32` only: measuring needs floating point, and a chip without it has not the room.
 
 mod current;
 mod findings;
 mod fit;
+mod nameplate;
 mod pulses;
 pub mod tuning;
 mod window;
 
 pub use findings::{Findings, Reason, Value};
+pub use nameplate::Nameplate;
 
 use crate::config::{ConfigError, positive, require};
 use crate::control::Timing;
@@ -49,6 +51,7 @@ use current::CurrentLoop;
 use findings::Fits;
 use fit::Fit;
 use pulses::{Pulsed, Pulses};
+use serde::{Deserialize, Serialize};
 use window::{Period, Window};
 
 /// What is known before the motor is measured.
@@ -61,6 +64,8 @@ pub struct CommissionConfig {
     /// Limits that hold at every instant: `duty`, `speed`, `bus_min`, `bus_max`, and `current_command` for the current. (The trip
     /// `current` is the drive's.)
     pub limits: Limits,
+    /// Highest voltage that the motor may get (V). Positive; infinite for what the duty's limit leaves of the bus.
+    pub voltage: f32,
     /// How far the shaft may turn to either side of where it stands (rad). Positive; infinite for a shaft that may turn freely.
     pub travel: f32,
     /// Speed (rad/s) without load at a voltage (V), from the nameplate, if it is known: checks counts.
@@ -77,7 +82,7 @@ pub struct NoLoad {
 }
 
 /// What is being done.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Phase {
     /// Outputs are off: offset and noise.
     Rest,
@@ -93,6 +98,22 @@ pub enum Phase {
     Long,
     /// Over: outputs are off.
     Over,
+}
+
+/// How far it is.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Progress {
+    /// What is being done.
+    pub phase: Phase,
+    /// Share of that phase's longest time that is over, from 0 to 1.
+    pub share: f32,
+}
+
+impl Progress {
+    /// Before the first period.
+    pub const BEGINNING: Self = Self { phase: Phase::Rest, share: 0.0 };
+    /// At the end.
+    pub const OVER: Self = Self { phase: Phase::Over, share: 1.0 };
 }
 
 /// Periods that outputs are off at first.
@@ -197,6 +218,7 @@ pub struct Commission {
     elapsed: u32,
     sensing: Sensing<f32>,
     limits: Limits,
+    voltage: f32,
     travel: f32,
     no_load: Option<NoLoad>,
     period: f32,
@@ -263,10 +285,11 @@ pub struct Commission {
 impl Commission {
     /// Refuses a configuration outside its range, naming the field.
     pub fn new(config: &CommissionConfig) -> Result<Self, ConfigError> {
-        let CommissionConfig { sensors, timing, limits, travel, no_load } = *config;
+        let CommissionConfig { sensors, timing, limits, voltage, travel, no_load } = *config;
         timing.check()?;
         limits.check()?;
         require(timing.delay, "timing.delay", "must be there for commissioning", 0.0)?;
+        require(voltage > 0.0, "voltage", "must be positive, or infinite", voltage)?;
         require(travel > 0.0, "travel", "must be positive, or infinite", travel)?;
         if let Some(NoLoad { speed, voltage }) = no_load {
             positive("no_load.speed", speed)?;
@@ -300,6 +323,7 @@ impl Commission {
             elapsed: 0,
             sensing,
             limits,
+            voltage,
             travel,
             no_load,
             period,
@@ -352,6 +376,21 @@ impl Commission {
         self.phase
     }
 
+    /// How far it is.
+    pub fn progress(&self) -> Progress {
+        let time = self.elapsed as f32 * self.period;
+        let share = match self.phase {
+            Phase::Rest => time / (REST as f32 * self.period),
+            Phase::Pulses => self.pulses.share(),
+            Phase::Launch => time / (SETTLE + LAUNCH),
+            Phase::Trial => time / TRIAL,
+            Phase::Short => time / SHORT,
+            Phase::Long => time / self.long_time(),
+            Phase::Over => 1.0,
+        };
+        Progress { phase: self.phase, share: share.min(1.0) }
+    }
+
     /// Turns outputs off for good. What was found until then stays.
     pub fn abort(&mut self) {
         self.stop(Reason::Aborted);
@@ -371,7 +410,7 @@ impl Commission {
         if let Err(reason) = self.limits_hold(&measured) {
             return self.stop(reason);
         }
-        let highest = self.limits.duty * measured.bus_voltage;
+        let highest = (self.limits.duty * measured.bus_voltage).min(self.voltage);
         self.elapsed += 1;
         let wanted = match self.phase {
             Phase::Rest => self.rest(measured.bus_voltage),
@@ -390,7 +429,7 @@ impl Commission {
             Wanted::Voltage(voltage) => voltage,
             Wanted::Current(current) => self.control.step(self.current, current, highest),
         };
-        self.duty = (voltage / measured.bus_voltage).limited(self.limits.duty);
+        self.duty = (voltage.limited(highest) / measured.bus_voltage).limited(self.limits.duty);
         BridgeCommand::Duty(self.duty)
     }
 
@@ -709,7 +748,6 @@ impl Commission {
 
     fn end_short(&mut self, blocked: bool) {
         self.fits.short = Some(self.solved());
-
         if blocked {
             self.phase = Phase::Over;
             return;

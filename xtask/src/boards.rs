@@ -71,6 +71,9 @@ pub const B_G431B_ESC1: Board = Board {
         "10trajectory15SCurve$LT$S$GT$4plan",
         "9interrupt7Control6change",
         "9interrupt7Control11tell_period",
+        // Commissioning, which has the time: the drive's law does not run beside it.
+        "9interrupt7Control10commission",
+        "9interrupt8progress",
     ],
     // The aims are 64 kB and 12 kB; docs/b-g431b-esc1.md has what takes more.
     budget: Budget { flash: 62 * 1024, ram: 18 * 1024 },
