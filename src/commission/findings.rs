@@ -3,7 +3,7 @@
 use super::fit::Solution;
 use crate::math::{atanh, sqrt};
 use core::fmt;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Serialize, Serializer};
 
 /// A measured value.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -20,6 +20,7 @@ impl Value {
     const FLOOR: f32 = 0.005;
 
     /// Refuses what is not known to within half of it.
+    #[inline(never)]
     fn positive(value: f32, deviation: f32) -> Result<Self, Reason> {
         let uncertainty = 2.0 * deviation + Self::FLOOR * value.abs();
         // Not the other way round: a NaN is nothing known.
@@ -125,21 +126,35 @@ pub struct Findings {
     /// exchanged is the same to the drive.)
     pub encoder_reversed: Result<bool, Reason>,
     /// Armature resistance Ra, with leads and bridge (Ω).
+    #[serde(serialize_with = "once")]
     pub resistance: Result<Value, Reason>,
     /// Armature inductance La (H).
+    #[serde(serialize_with = "once")]
     pub inductance: Result<Value, Reason>,
     /// Voltage that brushes and dead time take at any current (V).
+    #[serde(serialize_with = "once")]
     pub voltage_drop: Result<Value, Reason>,
     /// Back-EMF constant Kb (V·s/rad).
+    #[serde(serialize_with = "once")]
     pub back_emf_constant: Result<Value, Reason>,
     /// Moment of inertia J (kg·m²).
+    #[serde(serialize_with = "once")]
     pub inertia: Result<Value, Reason>,
     /// Viscous friction b (N·m·s/rad); its estimate may be below zero by less than its uncertainty.
+    #[serde(serialize_with = "once")]
     pub viscous_friction: Result<Value, Reason>,
     /// Coulomb friction T_c (N·m).
+    #[serde(serialize_with = "once")]
     pub coulomb_friction: Result<Value, Reason>,
     /// Load torque that was there all the time, of one sign in both directions (N·m), positive when it opposes positive motion.
+    #[serde(serialize_with = "once")]
     pub load_torque: Result<Value, Reason>,
+}
+
+/// Not inlined: what serializes a result exists once, not once for each. It takes 1 kB less.
+#[inline(never)]
+fn once<S: Serializer>(found: &Result<Value, Reason>, serializer: S) -> Result<S::Ok, S::Error> {
+    found.serialize(serializer)
 }
 
 /// What the phases' fits came to.
@@ -211,6 +226,7 @@ impl Fits {
         Value::positive(inertia, inertia * sqrt(first * first + second * second))
     }
 
+    #[inline(never)]
     fn torque(&self, long: &Solution, unknown: usize) -> Result<Value, Reason> {
         let Solution { values, deviations } = self.shaft.ok_or(Reason::NotReached)?;
         let inertia = long.values[2] / values[0];

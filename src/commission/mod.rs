@@ -474,6 +474,7 @@ impl Commission {
     }
 
     #[cold]
+    #[inline(never)]
     fn stop(&mut self, reason: Reason) -> BridgeCommand<f32> {
         if self.phase != Phase::Over {
             self.stopped = Some(reason);
@@ -482,6 +483,7 @@ impl Commission {
         BridgeCommand::Off
     }
 
+    #[inline(never)]
     fn enter(&mut self, phase: Phase) {
         self.phase = phase;
         self.elapsed = 0;
