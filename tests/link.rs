@@ -3,8 +3,10 @@
 mod common;
 
 use common::{controls, every_name, names, parameters, with_control};
+use host_sim::commission_bench::Bench;
+use host_sim::scoreboard::motors::Machine;
 use proptest::prelude::*;
-use quasidrive::commission::{Findings, Nameplate, Phase, Progress, Reason, Value as Measured};
+use quasidrive::commission::{Evidence, Nameplate, NoLoad, Phase, Progress};
 use quasidrive::config::ConfigError;
 use quasidrive::control::ControlConfig;
 use quasidrive::fault::{ActiveLimits, Fault, Faults};
@@ -24,7 +26,7 @@ struct Recorder {
     commands: Vec<Command>,
     told: Vec<&'static str>,
     telemetry: Vec<Telemetry>,
-    findings: Option<Findings>,
+    evidence: Option<Evidence>,
     refusal: Option<Refusal<'static>>,
 }
 
@@ -36,7 +38,7 @@ impl Recorder {
             commands: Vec::new(),
             told: Vec::new(),
             telemetry: Vec::new(),
-            findings: None,
+            evidence: None,
             refusal: None,
         }
     }
@@ -88,8 +90,8 @@ impl Device for Recorder {
         Progress { phase: Phase::Long, share: 0.25 }
     }
 
-    fn findings(&mut self) -> Option<Findings> {
-        self.findings
+    fn evidence(&mut self) -> Option<Evidence> {
+        self.evidence
     }
 
     fn set_telemetry(&mut self, decimation: u32) {
@@ -111,26 +113,15 @@ const NAMEPLATE: Nameplate = Nameplate {
     travel: None,
 };
 
-/// As long as they can be.
-const FINDINGS: Findings = {
-    const SEEN: Result<Measured, Reason> = Ok(Measured { value: 1.0, uncertainty: 0.125 });
-    Findings {
-        stopped: Some(Reason::NoLoadSpeed),
-        bus_voltage: 24.0,
-        current_offset: -0.25,
-        current_noise: 0.5,
-        current_reversed: true,
-        encoder_reversed: Ok(false),
-        resistance: SEEN,
-        inductance: SEEN,
-        voltage_drop: SEEN,
-        back_emf_constant: SEEN,
-        inertia: SEEN,
-        viscous_friction: SEEN,
-        coulomb_friction: SEEN,
-        load_torque: SEEN,
-    }
-};
+/// Of a motor that was measured to the end: all that there can be.
+fn evidence() -> Evidence {
+    let bench = Bench::machine(&Machine::PAPER, 4096);
+    let mut config = bench.config();
+    config.no_load = Some(NoLoad { speed: 390.0, voltage: 24.0 });
+    let mut evidence = None;
+    bench.run_with(&config, |commission, _| evidence = Some(commission.evidence()));
+    evidence.expect("played")
+}
 
 fn frame(sequence: u16, request: Request) -> Vec<u8> {
     bytes(&Numbered { sequence, request })
@@ -461,24 +452,26 @@ fn a_motor_is_measured_where_the_drive_is_ready_only() {
 }
 
 #[test]
-fn progress_is_told_at_any_time_and_findings_with_outputs_off() {
+fn progress_is_told_at_any_time_and_evidence_with_outputs_off() {
     let mut device = Recorder::new(Mode::Commissioning);
     let progress = Progress { phase: Phase::Long, share: 0.25 };
     ask(&mut device, Request::ReadProgress, |answer| {
         assert_eq!(answer, Answer::Progress(progress));
     });
-    device.findings = Some(FINDINGS);
-    ask(&mut device, Request::ReadFindings, |answer| {
+    let measured = evidence();
+    assert!(measured.findings().inertia.is_ok());
+    device.evidence = Some(measured);
+    ask(&mut device, Request::ReadEvidence, |answer| {
         assert_eq!(answer, Answer::Refused(Refusal::Mode(Mode::Commissioning)));
     });
     for mode in [Mode::Ready, Mode::Faulted] {
         device.mode = mode;
-        ask(&mut device, Request::ReadFindings, |answer| {
-            assert_eq!(answer, Answer::Findings(FINDINGS));
+        ask(&mut device, Request::ReadEvidence, |answer| {
+            assert_eq!(answer, Answer::Evidence(measured));
         });
     }
-    device.findings = None;
-    ask(&mut device, Request::ReadFindings, |answer| {
+    device.evidence = None;
+    ask(&mut device, Request::ReadEvidence, |answer| {
         assert_eq!(answer, Answer::Refused(Refusal::NotCommissioned));
     });
 }
@@ -499,7 +492,7 @@ fn the_longest_message_fits() {
     };
     let answer = Answer::Identity(identity);
     assert!(bytes(&Message::Answer { sequence: u16::MAX, answer }).len() <= LONGEST);
-    let answer = Answer::Findings(FINDINGS);
+    let answer = Answer::Evidence(evidence());
     assert!(bytes(&Message::Answer { sequence: u16::MAX, answer }).len() <= LONGEST);
     let text = "x".repeat(LONGEST);
     assert_eq!(encode(&text.as_str(), &mut [0; LONGEST]), None, "what does not fit is no frame");

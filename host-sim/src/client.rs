@@ -123,8 +123,8 @@ impl Client {
 
     /// What commissioning found.
     pub fn findings(&mut self) -> Result<Findings, ClientError> {
-        self.ask(Request::ReadFindings, |answer| match answer {
-            Answer::Findings(findings) => Ok(findings),
+        self.ask(Request::ReadEvidence, |answer| match answer {
+            Answer::Evidence(evidence) => Ok(evidence.findings()),
             answer => Err(unwanted(answer)),
         })
     }

@@ -6,7 +6,7 @@
 use crate::board::SimulatedBoard;
 use crate::flash::SimulatedFlash;
 use crate::scenario::Scenario;
-use quasidrive::commission::{Commission, Findings, Nameplate, Progress};
+use quasidrive::commission::{Commission, Evidence, Nameplate, Progress};
 use quasidrive::config::ConfigError;
 use quasidrive::control::{ControlConfig, Timing};
 use quasidrive::drive::{DriveConfig, ReadyController};
@@ -222,11 +222,11 @@ impl Device for VirtualDrive {
         }
     }
 
-    fn findings(&mut self) -> Option<Findings> {
+    fn evidence(&mut self) -> Option<Evidence> {
         let commission = self.commission.as_mut()?;
         // Whatever ended it.
         commission.abort();
-        Some(commission.findings())
+        Some(commission.evidence())
     }
 
     fn set_telemetry(&mut self, decimation: u32) {

@@ -1,12 +1,13 @@
 //! What was found: values with their uncertainty, or why they were not seen.
 
+use super::NoLoad;
 use super::fit::Solution;
 use crate::math::{atanh, sqrt};
 use core::fmt;
-use serde::{Deserialize, Serialize, Serializer};
+use serde::{Deserialize, Serialize};
 
 /// A measured value.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Value {
     /// The value, in its SI unit.
     pub value: f32,
@@ -20,7 +21,6 @@ impl Value {
     const FLOOR: f32 = 0.005;
 
     /// Refuses what is not known to within half of it.
-    #[inline(never)]
     fn positive(value: f32, deviation: f32) -> Result<Self, Reason> {
         let uncertainty = 2.0 * deviation + Self::FLOOR * value.abs();
         // Not the other way round: a NaN is nothing known.
@@ -110,7 +110,7 @@ impl fmt::Display for Reason {
 }
 
 /// All that commissioning finds.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Findings {
     /// Why it ended early, if it did.
     pub stopped: Option<Reason>,
@@ -126,39 +126,81 @@ pub struct Findings {
     /// exchanged is the same to the drive.)
     pub encoder_reversed: Result<bool, Reason>,
     /// Armature resistance Ra, with leads and bridge (Ω).
-    #[serde(serialize_with = "once")]
     pub resistance: Result<Value, Reason>,
     /// Armature inductance La (H).
-    #[serde(serialize_with = "once")]
     pub inductance: Result<Value, Reason>,
     /// Voltage that brushes and dead time take at any current (V).
-    #[serde(serialize_with = "once")]
     pub voltage_drop: Result<Value, Reason>,
     /// Back-EMF constant Kb (V·s/rad).
-    #[serde(serialize_with = "once")]
     pub back_emf_constant: Result<Value, Reason>,
     /// Moment of inertia J (kg·m²).
-    #[serde(serialize_with = "once")]
     pub inertia: Result<Value, Reason>,
     /// Viscous friction b (N·m·s/rad); its estimate may be below zero by less than its uncertainty.
-    #[serde(serialize_with = "once")]
     pub viscous_friction: Result<Value, Reason>,
     /// Coulomb friction T_c (N·m).
-    #[serde(serialize_with = "once")]
     pub coulomb_friction: Result<Value, Reason>,
     /// Load torque that was there all the time, of one sign in both directions (N·m), positive when it opposes positive motion.
-    #[serde(serialize_with = "once")]
     pub load_torque: Result<Value, Reason>,
 }
 
-/// Not inlined: what serializes a result exists once, not once for each. It takes 1 kB less.
-#[inline(never)]
-fn once<S: Serializer>(found: &Result<Value, Reason>, serializer: S) -> Result<S::Ok, S::Error> {
-    found.serialize(serializer)
+/// What a drive has measured. [`findings`](Self::findings) is what it says, which a drive leaves to its host: it takes over 1 kB of
+/// code.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Evidence {
+    pub(super) stopped: Option<Reason>,
+    pub(super) bus_voltage: f32,
+    pub(super) current_offset: f32,
+    pub(super) current_noise: f32,
+    pub(super) current_reversed: bool,
+    /// Sampling period (s).
+    pub(super) period: f32,
+    pub(super) no_load: Option<NoLoad>,
+    pub(super) fits: Fits,
 }
 
+impl Evidence {
+    /// What was found until then.
+    pub fn findings(&self) -> Findings {
+        let &Self { stopped, fits, .. } = self;
+        let not_seen = stopped.or(fits.unseen).unwrap_or(Reason::NotReached);
+        let values = fits.values(self.period, not_seen);
+        let [viscous_friction, coulomb_friction, load_torque] = values.torques;
+        Findings {
+            stopped,
+            bus_voltage: self.bus_voltage,
+            current_offset: self.current_offset,
+            current_noise: self.current_noise,
+            current_reversed: self.current_reversed,
+            encoder_reversed: fits.direction.map(|sign| sign < 0.0).ok_or(not_seen),
+            resistance: values.resistance,
+            inductance: values.inductance,
+            voltage_drop: values.voltage_drop,
+            back_emf_constant: values.back_emf_constant.and_then(|value| self.plausible(value)),
+            inertia: values.inertia,
+            viscous_friction,
+            coulomb_friction,
+            load_torque,
+        }
+    }
+
+    /// Refuses a Kb that the nameplate contradicts.
+    fn plausible(&self, back_emf: Value) -> Result<Value, Reason> {
+        let Some(NoLoad { speed, voltage }) = self.no_load else { return Ok(back_emf) };
+        let ratio = back_emf.value * speed / voltage;
+        if (1.0 / NAMEPLATE..=NAMEPLATE).contains(&ratio) {
+            Ok(back_emf)
+        } else {
+            Err(Reason::NoLoadSpeed)
+        }
+    }
+}
+
+/// How far Kb may be from the nameplate's voltage over its speed, either way. Friction and tolerances take up to a fifth; counts in place of lines
+/// are a factor of four.
+const NAMEPLATE: f32 = 1.5;
+
 /// What the phases' fits came to.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct Fits {
     /// Why what is to be seen of a turning shaft cannot be.
     pub unseen: Option<Reason>,
@@ -226,7 +268,6 @@ impl Fits {
         Value::positive(inertia, inertia * sqrt(first * first + second * second))
     }
 
-    #[inline(never)]
     fn torque(&self, long: &Solution, unknown: usize) -> Result<Value, Reason> {
         let Solution { values, deviations } = self.shaft.ok_or(Reason::NotReached)?;
         let inertia = long.values[2] / values[0];

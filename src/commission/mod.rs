@@ -25,8 +25,8 @@
 //!
 //! [`Supervisor::start_commissioning`](crate::supervisor::Supervisor::start_commissioning) begins it, and
 //! [`Supervisor::step_commissioning`](crate::supervisor::Supervisor::step_commissioning) lets [`Commission::step`] take the place of the
-//! drive's. `Off`, `Stop`, lost commands and every fault take outputs off at once. The [findings](Commission::findings) are there to be read
-//! until the next start. A host makes a configuration of them ([`tuning::Known::tuned`]), which is applied and saved like any other.
+//! drive's. `Off`, `Stop`, lost commands and every fault take outputs off at once. The [evidence](Commission::evidence) is there to be read
+//! until the next start. A host makes findings and a configuration of it ([`tuning::Known::tuned`]), which is applied and saved like any other.
 //! For drives in `f32` only: measuring needs floating point, and a chip without it has not the room.
 
 mod current;
@@ -37,7 +37,7 @@ mod pulses;
 pub mod tuning;
 mod window;
 
-pub use findings::{Findings, Reason, Value};
+pub use findings::{Evidence, Findings, Reason, Value};
 pub use nameplate::Nameplate;
 
 use crate::config::{ConfigError, positive, require};
@@ -73,7 +73,7 @@ pub struct CommissionConfig {
 }
 
 /// A speed without load at a voltage.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct NoLoad {
     /// Speed (rad/s). Positive.
     pub speed: f32,
@@ -203,10 +203,6 @@ const ONWARD: f32 = 0.15;
 
 /// Windows after which a current turns whose shaft is blocked.
 const BLOCKED_WINDOWS: u32 = 16;
-
-/// How far Kb may be from the nameplate's voltage over its speed, either way. Friction and tolerances take up to a fifth; counts in place of lines
-/// are a factor of four.
-const NAMEPLATE: f32 = 1.5;
 
 /// Measures a motor.
 #[derive(Clone, Debug)]
@@ -378,16 +374,18 @@ impl Commission {
 
     /// How far it is.
     pub fn progress(&self) -> Progress {
-        let time = self.elapsed as f32 * self.period;
-        let share = match self.phase {
-            Phase::Rest => time / (REST as f32 * self.period),
-            Phase::Pulses => self.pulses.share(),
-            Phase::Launch => time / (SETTLE + LAUNCH),
-            Phase::Trial => time / TRIAL,
-            Phase::Short => time / SHORT,
-            Phase::Long => time / self.long_time(),
-            Phase::Over => 1.0,
+        let longest = match self.phase {
+            Phase::Rest => REST as f32 * self.period,
+            Phase::Pulses => {
+                return Progress { phase: Phase::Pulses, share: self.pulses.share() };
+            }
+            Phase::Launch => SETTLE + LAUNCH,
+            Phase::Trial => TRIAL,
+            Phase::Short => SHORT,
+            Phase::Long => self.long_time(),
+            Phase::Over => return Progress::OVER,
         };
+        let share = self.elapsed as f32 * self.period / longest;
         Progress { phase: self.phase, share: share.min(1.0) }
     }
 
@@ -777,38 +775,23 @@ impl Commission {
         solution
     }
 
-    /// What was found until now.
-    pub fn findings(&self) -> Findings {
-        let not_seen = self.stopped.or(self.fits.unseen).unwrap_or(Reason::NotReached);
-        let values = self.fits.values(self.period, not_seen);
-        let [viscous_friction, coulomb_friction, load_torque] = values.torques;
-        Findings {
+    /// What was measured until now.
+    pub fn evidence(&self) -> Evidence {
+        Evidence {
             stopped: self.stopped,
             bus_voltage: self.bus_voltage,
             current_offset: self.offset,
             current_noise: self.noise,
             current_reversed: self.current_sign < 0.0,
-            encoder_reversed: self.fits.direction.map(|sign| sign < 0.0).ok_or(not_seen),
-            resistance: values.resistance,
-            inductance: values.inductance,
-            voltage_drop: values.voltage_drop,
-            back_emf_constant: values.back_emf_constant.and_then(|value| self.plausible(value)),
-            inertia: values.inertia,
-            viscous_friction,
-            coulomb_friction,
-            load_torque,
+            period: self.period,
+            no_load: self.no_load,
+            fits: self.fits,
         }
     }
 
-    /// Refuses a Kb that the nameplate contradicts.
-    fn plausible(&self, back_emf: Value) -> Result<Value, Reason> {
-        let Some(NoLoad { speed, voltage }) = self.no_load else { return Ok(back_emf) };
-        let ratio = back_emf.value * speed / voltage;
-        if (1.0 / NAMEPLATE..=NAMEPLATE).contains(&ratio) {
-            Ok(back_emf)
-        } else {
-            Err(Reason::NoLoadSpeed)
-        }
+    /// What was found until now.
+    pub fn findings(&self) -> Findings {
+        self.evidence().findings()
     }
 }
 

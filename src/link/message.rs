@@ -3,7 +3,7 @@
 //! Numbers are in SI units. New requests and answers go at the end of their lists, so that the others keep their codes; a change
 //! of what is there needs another [`VERSION`].
 
-use crate::commission::{Findings, Nameplate, Progress};
+use crate::commission::{Evidence, Nameplate, Progress};
 use crate::config::ConfigError;
 use crate::fault::{ActiveLimits, Faults};
 use crate::schema::{SetError, Value};
@@ -58,8 +58,8 @@ pub enum Request<'a> {
     Commission(Nameplate),
     /// How far is that? Answered by [`Answer::Progress`].
     ReadProgress,
-    /// What was found? Answered by [`Answer::Findings`], once outputs are off.
-    ReadFindings,
+    /// What was measured? Answered by [`Answer::Evidence`], once outputs are off.
+    ReadEvidence,
 }
 
 /// What a drive answers.
@@ -85,8 +85,8 @@ pub enum Answer<'a> {
     },
     /// How far commissioning is; over, where there is none.
     Progress(Progress),
-    /// What commissioning found.
-    Findings(Findings),
+    /// What commissioning measured.
+    Evidence(Evidence),
 }
 
 /// What a drive sends.

@@ -2,7 +2,7 @@
 
 use super::frame::{Decoder, LONGEST, encode};
 use super::message::{Answer, Identity, Message, Refusal, Request, Status, Telemetry};
-use crate::commission::{Findings, Nameplate, Progress};
+use crate::commission::{Evidence, Nameplate, Progress};
 use crate::control::ControlConfig;
 use crate::parameters::Parameters;
 use crate::schema::{self, Path, Value};
@@ -41,8 +41,8 @@ pub trait Device {
     /// How far that is; [`Progress::OVER`] where there is nothing of it.
     fn progress(&self) -> Progress;
 
-    /// What was found, if the motor was measured. It is not being measured.
-    fn findings(&mut self) -> Option<Findings>;
+    /// What was measured, if anything. Nothing is being measured.
+    fn evidence(&mut self) -> Option<Evidence>;
 
     /// Makes telemetry of one in so many periods; of none, for zero.
     fn set_telemetry(&mut self, decimation: u32);
@@ -150,10 +150,10 @@ fn answer<'n>(
             mode => return Err(Refusal::Mode(mode)),
         },
         Request::ReadProgress => return Ok(Answer::Progress(device.progress())),
-        Request::ReadFindings => {
+        Request::ReadEvidence => {
             check_off(device)?;
-            let findings = device.findings().ok_or(Refusal::NotCommissioned)?;
-            return Ok(Answer::Findings(findings));
+            let evidence = device.evidence().ok_or(Refusal::NotCommissioned)?;
+            return Ok(Answer::Evidence(evidence));
         }
     }
     Ok(Answer::Done)

@@ -75,8 +75,8 @@ pub const B_G431B_ESC1: Board = Board {
         "9interrupt7Control10commission",
         "9interrupt8progress",
     ],
-    // The aims are 64 kB and 12 kB; docs/b-g431b-esc1.md has what takes more.
-    budget: Budget { flash: 62 * 1024, ram: 18 * 1024 },
+    // The aims are 64 kB and 12 kB, without commissioning, which takes 12 kB and 1.1 kB; docs/b-g431b-esc1.md has what takes more.
+    budget: Budget { flash: 72 * 1024, ram: 19 * 1024 },
 };
 
 pub const BOARDS: [Board; 4] = [QEMU, QEMU_M3, QEMU_M0, B_G431B_ESC1];

@@ -9,7 +9,7 @@ use super::bridge::{self, Bridge};
 use super::encoder::{Counts, Encoder};
 use crate::board::handed_over::HandedOver;
 use crate::board::slot::Slot;
-use crate::commission::{Commission, Findings, Progress};
+use crate::commission::{Commission, Evidence, Progress};
 use crate::config::ConfigError;
 use crate::drive::ReadyController;
 use crate::fault::{ActiveLimits, Fault, Faults};
@@ -78,12 +78,12 @@ pub fn commission(commission: Commission) -> Option<Answer> {
     if COMMISSION.put(commission) { give(Order::Commission) } else { None }
 }
 
-/// What was found, if the motor was measured. It is not being measured.
-pub fn findings() -> Option<Findings> {
+/// What was measured, if anything. Nothing is being measured.
+pub fn evidence() -> Option<Evidence> {
     COMMISSION.lend(|commission| {
         // Whatever ended it.
         commission.abort();
-        commission.findings()
+        commission.evidence()
     })
 }
 

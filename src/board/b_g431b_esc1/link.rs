@@ -6,7 +6,7 @@
 use super::interrupt::Change;
 use super::parameter_flash::{ParameterFlash, REGION};
 use super::{build, defaults, interrupt};
-use crate::commission::{Commission, Findings, Nameplate, Progress};
+use crate::commission::{Commission, Evidence, Nameplate, Progress};
 use crate::control::ControlConfig;
 use crate::drive::{DriveConfig, ReadyController};
 use crate::fault::{Fault, Faults};
@@ -172,8 +172,8 @@ impl Device for Link {
         self.progress
     }
 
-    fn findings(&mut self) -> Option<Findings> {
-        interrupt::findings()
+    fn evidence(&mut self) -> Option<Evidence> {
+        interrupt::evidence()
     }
 
     fn set_telemetry(&mut self, decimation: u32) {
