@@ -67,6 +67,7 @@ pub const B_G431B_ESC1: Board = Board {
         "5drive14Drive$LT$S$GT$4stop",
         "5drive14Drive$LT$S$GT$6refuse",
         "5drive14Drive$LT$S$GT$8fault_in",
+        "5drive14Drive$LT$S$GT$16electrical_fault",
         // A new command.
         "10trajectory15SCurve$LT$S$GT$4plan",
         "9interrupt7Control6change",
