@@ -49,7 +49,7 @@ use crate::per_unit::Bases;
 use crate::sense::{Measured, Sensing, Sensors};
 use current::CurrentLoop;
 use findings::Fits;
-use fit::Fit;
+use fit::{Fit, Solution};
 use pulses::{Pulsed, Pulses};
 use serde::{Deserialize, Serialize};
 use window::{Period, Window};
@@ -275,6 +275,7 @@ pub struct Commission {
     ramp: f32,
     armature: Fit,
     shaft: Fit,
+    closing: Closing,
     fits: Fits,
 }
 
@@ -363,6 +364,7 @@ impl Commission {
             ramp: 0.0,
             armature: Fit::default(),
             shaft: Fit::default(),
+            closing: Closing::Not,
             fits: Fits::default(),
         })
     }
@@ -492,6 +494,7 @@ impl Commission {
         self.speeds = [0.0; 2];
         self.armature = Fit::default();
         self.shaft = Fit::default();
+        self.closing = Closing::Not;
     }
 
     /// Outputs off: what the sensors show of nothing.
@@ -680,8 +683,26 @@ impl Commission {
 
     fn swing(&mut self, period: &Period, highest: f32) -> Wanted {
         self.window.add(period, self.sign);
-        if self.window.periods >= self.window_periods {
-            self.end_window(highest);
+        match self.closing {
+            Closing::Not if self.window.periods < self.window_periods => {}
+            Closing::Not => self.end_window(highest),
+            Closing::Pulled => self.closing = Closing::Armature(self.armature.solve([0.0; 4])),
+            Closing::Armature(pulled) => {
+                let solved = self.solved(&pulled);
+                self.closing = Closing::Not;
+                match self.phase {
+                    Phase::Trial => self.end_trial(&solved, highest),
+                    Phase::Short => self.end_short(solved),
+                    _ => {
+                        self.fits.long = Some(solved);
+                        self.closing = Closing::Shaft;
+                    }
+                }
+            }
+            Closing::Shaft => {
+                self.fits.shaft = Some(self.shaft.solve([0.0; 4]));
+                self.phase = Phase::Over;
+            }
         }
         // Two windows at each level: one has the step in it, the other has not.
         let level = if self.windows & 2 == 0 { self.high } else { self.low };
@@ -708,34 +729,35 @@ impl Commission {
         self.before = core::mem::take(&mut self.window);
         self.windows += 1;
         self.all_windows += 1;
-        let blocked = self.fits.unseen == Some(Reason::Blocked);
         let is_far = self.sign * self.speed >= self.turn_speed
             || self.sign * self.control.voltage >= TURN_VOLTAGE * highest
             || 2.0 * self.sign * self.angle - self.back >= TURN_TRAVEL * self.travel
-            || (blocked && self.windows >= BLOCKED_WINDOWS);
+            || (self.is_blocked() && self.windows >= BLOCKED_WINDOWS);
         if is_far {
             self.turn();
         }
         let time = self.elapsed as f32 * self.period;
-        match self.phase {
-            Phase::Trial if time >= TRIAL => self.end_trial(highest),
-            Phase::Short if time >= SHORT => self.end_short(blocked),
+        let is_over = match self.phase {
+            Phase::Trial => time >= TRIAL,
+            Phase::Short => time >= SHORT,
             // At rest, or nearly.
-            Phase::Long if time >= LONG || (time >= self.long_time() && turned_back) => {
-                self.fits.long = Some(self.solved());
-                self.fits.shaft = Some(self.shaft.solve([0.0; 4]));
-                self.phase = Phase::Over;
-            }
-            _ => {}
+            _ => time >= LONG || (time >= self.long_time() && turned_back),
+        };
+        if is_over {
+            self.closing = Closing::Pulled;
         }
+    }
+
+    fn is_blocked(&self) -> bool {
+        self.fits.unseen == Some(Reason::Blocked)
     }
 
     fn long_time(&self) -> f32 {
         (RAMPS * self.ramp * self.period).clamp(LONG_LEAST, 0.95 * LONG)
     }
 
-    fn end_trial(&mut self, highest: f32) {
-        let fit::Solution { values, deviations } = self.solved();
+    fn end_trial(&mut self, solved: &Solution, highest: f32) {
+        let &Solution { values, deviations } = solved;
         let [resistance, lost, _, inductive] = values;
         if deviations[0] < 0.2 * resistance
             && deviations[3] < 0.2 * inductive
@@ -746,9 +768,9 @@ impl Commission {
         self.enter(Phase::Short);
     }
 
-    fn end_short(&mut self, blocked: bool) {
-        self.fits.short = Some(self.solved());
-        if blocked {
+    fn end_short(&mut self, solved: Solution) {
+        self.fits.short = Some(solved);
+        if self.is_blocked() {
             self.phase = Phase::Over;
             return;
         }
@@ -760,14 +782,13 @@ impl Commission {
 
     /// The armature. Noise in current and angle pulls their unknowns; how much, its variance tells at most: half of it is taken back, and
     /// the other half is uncertain.
-    fn solved(&self) -> fit::Solution {
+    fn solved(&self, pulled: &Solution) -> Solution {
         let per = 1.0 / self.window_periods;
         let speed = self.grain * self.rate * per;
         let current = self.noise * per;
         let noise = [0.0, 0.0, speed * speed / 6.0, 2.0 * current * current];
-        let pulled = self.armature.solve([0.0; 4]);
         let mut solution = self.armature.solve(noise);
-        for (unknown, pulled) in pulled.values.into_iter().enumerate() {
+        for (unknown, pulled) in pulled.values.iter().enumerate() {
             let pull = 0.5 * (solution.values[unknown] - pulled);
             solution.values[unknown] -= pull;
             solution.deviations[unknown] += 0.5 * pull.abs();
@@ -793,6 +814,18 @@ impl Commission {
     pub fn findings(&self) -> Findings {
         self.evidence().findings()
     }
+}
+
+/// What is to be solved next in a phase whose time is over: one solution a period, since two would not fit into one on a microcontroller.
+#[derive(Clone, Copy, Debug)]
+enum Closing {
+    /// Its time is not over.
+    Not,
+    /// The armature, noise left in.
+    Pulled,
+    /// The armature, with that.
+    Armature(Solution),
+    Shaft,
 }
 
 /// What the bridge is to do.
