@@ -13,7 +13,7 @@ use crate::math::{Base, Scalar};
 use crate::motor::MotorParameters;
 use crate::per_unit::Bases;
 use crate::schema::{Group, Unset, Visitor};
-use crate::sense::{Measured, Rotation, Sensing, Sensors};
+use crate::sense::{Measured, Sensing, Sensors};
 use crate::trajectory::{Reference, Shape, Shaper};
 
 /// Everything that a drive is built from.
@@ -402,17 +402,25 @@ impl<S: Scalar> Drive<S> {
     /// What is wrong with a sample that is not within the limits.
     #[cold]
     fn fault_in(&self, measured: Measured<S>) -> Fault {
-        let Measured { rotation: Rotation { advance, .. }, current, bus_voltage, .. } = measured;
-        if ![advance, current, bus_voltage].iter().all(|value| value.is_finite()) {
-            Fault::BadSample
+        if !measured.rotation.advance.is_finite() {
+            return Fault::BadSample;
+        }
+        self.electrical_fault().unwrap_or(Fault::EncoderJump)
+    }
+
+    /// What is wrong with the last sample's current or bus voltage, whether the drive drives or not.
+    pub fn electrical_fault(&self) -> Option<Fault> {
+        let [current, bus_voltage] = self.measured;
+        if !(current.is_finite() && bus_voltage.is_finite()) {
+            Some(Fault::BadSample)
         } else if current.abs() > self.current_limit {
-            Fault::Overcurrent
+            Some(Fault::Overcurrent)
         } else if bus_voltage < self.bus_min {
-            Fault::BusUndervoltage
+            Some(Fault::BusUndervoltage)
         } else if bus_voltage > self.bus_max {
-            Fault::BusOvervoltage
+            Some(Fault::BusOvervoltage)
         } else {
-            Fault::EncoderJump
+            None
         }
     }
 

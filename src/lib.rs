@@ -17,8 +17,9 @@
 //! - [`sense`]: from a board's codes and counts to SI units; [`estimate`]: from the shaft's angle to its speed.
 //! - [`control`]: the controllers, the quasi-sliding injection and the ultimate bounds.
 //! - [`drive`]: the composer: arming, faults, and [`Drive::step`](drive::Drive::step).
-//! - [`fault`]: everything that stops or limits a drive, in one list; [`supervisor`]: when outputs may be on.
+//! - [`fault`]: everything that stops or limits a drive, in one list.
 //! - [`commission`]: the drive measures its own motor.
+//! - [`supervisor`]: when outputs may be on.
 //! - [`modulation`], [`shunts`], [`thermistor`]: what boards have in common.
 //! - [`parameters`]: all that a user may set, by name, and how it is kept in flash.
 //! - [`link`]: messages between a drive and a host that commands and watches it.

@@ -11,11 +11,17 @@
 //!                       Clear │                 │ └───────────────┴───────────────────────┼─┘
 //!                             │                 │    at rest, time over, Off              │
 //!       any fault ───────▶ Faulted              └──────────── Stopping ◀──────────────────┘ Stop, no commands
+//!
+//!                                   Commission                charged
+//!                            Ready ────────────▶ Armed ────────────────▶ Commissioning ─┐
+//!                              ▲                       all measured, Stop, Off          │
+//!                              └────────────────────────────────────────────────────────┘
 //! ```
 //!
-//! [`TRANSITIONS`] is that as a table. Outputs can be on in `Armed`, `Running` and `Stopping` only. A fault is latched, and
+//! [`TRANSITIONS`] is that as a table. Outputs can be on in `Armed`, `Running`, `Stopping` and `Commissioning` only. A fault is latched, and
 //! cleared by [`Command::Clear`] alone.
 
+use crate::commission::{Commission, Phase};
 use crate::config::{ConfigError, positive, require};
 use crate::drive::{self, Drive, DriveConfig, ReadyController};
 use crate::fault::{ActiveLimit, ActiveLimits, Fault, Faults};
@@ -114,6 +120,8 @@ pub enum Mode {
     Stopping = 5,
     /// A fault is latched: outputs are off until it is cleared and the drive armed again.
     Faulted = 6,
+    /// The motor is measured, with what [`Commission`] asks of the bridge.
+    Commissioning = 7,
 }
 
 /// What changes the mode.
@@ -125,8 +133,14 @@ pub enum Event {
     ZeroLearnt,
     /// [`Command::Arm`].
     Arm,
+    /// [`Supervisor::start_commissioning`].
+    Commission,
     /// The bootstrap capacitors are charged.
     Charged,
+    /// They are, for the motor to be measured.
+    ChargedToMeasure,
+    /// The motor is measured, or what measures it has given up.
+    Measured,
     /// [`Command::Stop`], or no command for too long.
     Stop,
     /// [`Command::Off`].
@@ -140,25 +154,31 @@ pub enum Event {
 }
 
 /// Every change of mode that there is: from, by, to.
-pub const TRANSITIONS: [(Mode, Event, Mode); 17] = {
-    use Mode::{Armed, Boot, Calibrating, Faulted, Ready, Running, Stopping};
+pub const TRANSITIONS: [(Mode, Event, Mode); 23] = {
+    use Mode::{Armed, Boot, Calibrating, Commissioning, Faulted, Ready, Running, Stopping};
     [
         (Boot, Event::Period, Calibrating),
         (Calibrating, Event::ZeroLearnt, Ready),
         (Ready, Event::Arm, Armed),
+        (Ready, Event::Commission, Armed),
         (Armed, Event::Charged, Running),
+        (Armed, Event::ChargedToMeasure, Commissioning),
+        (Commissioning, Event::Measured, Ready),
+        (Commissioning, Event::Stop, Ready),
         (Armed, Event::Stop, Ready),
         (Running, Event::Stop, Stopping),
         (Stopping, Event::Stopped, Ready),
         (Armed, Event::Off, Ready),
         (Running, Event::Off, Ready),
         (Stopping, Event::Off, Ready),
+        (Commissioning, Event::Off, Ready),
         (Boot, Event::Fault, Faulted),
         (Calibrating, Event::Fault, Faulted),
         (Ready, Event::Fault, Faulted),
         (Armed, Event::Fault, Faulted),
         (Running, Event::Fault, Faulted),
         (Stopping, Event::Fault, Faulted),
+        (Commissioning, Event::Fault, Faulted),
         (Faulted, Event::Clear, Calibrating),
     ]
 };
@@ -172,7 +192,7 @@ pub enum Command {
     Speed(f32),
     /// Nothing new: the commander is there.
     KeepAlive,
-    /// Take the speed to zero, then outputs off.
+    /// Take the speed to zero, then outputs off. While the motor is measured: outputs off at once.
     Stop,
     /// Outputs off at once: the motor coasts.
     Off,
@@ -237,6 +257,8 @@ pub struct Supervisor<S: Scalar> {
     turns: u32,
     /// Whether stopping is because no commands came.
     is_lost: bool,
+    /// Whether it was armed to measure the motor.
+    measures: bool,
     slow: Slow<S>,
 }
 
@@ -306,6 +328,7 @@ impl<S: Scalar> Supervisor<S> {
             silence: 0,
             turns: 0,
             is_lost: false,
+            measures: false,
             slow,
             // Last, and so straight to its place: it is large.
             drive: Drive::new(config)?,
@@ -431,11 +454,13 @@ impl<S: Scalar> Supervisor<S> {
     /// What time and speed bring about.
     fn go_on(&mut self) {
         match self.mode {
-            Mode::Armed | Mode::Running if self.silence >= self.slow.command_turns => {
+            Mode::Armed | Mode::Running | Mode::Commissioning
+                if self.silence >= self.slow.command_turns =>
+            {
                 self.is_lost = self.happens(Event::Stop);
             }
             Mode::Armed if self.turns >= self.slow.charge_turns => {
-                self.happens(Event::Charged);
+                self.happens(if self.measures { Event::ChargedToMeasure } else { Event::Charged });
             }
             Mode::Stopping
                 if self.drive.speed().abs() <= self.slow.standstill
@@ -472,6 +497,7 @@ impl<S: Scalar> Supervisor<S> {
         let Some(to) = next(self.mode, event) else { return false };
         self.mode = to;
         self.turns = 0;
+        self.measures = event == Event::Commission;
         // Neither is ever refused: zero is within the limits, and a drive's fault would have been latched here.
         match to {
             Mode::Armed | Mode::Stopping => drop(self.drive.set_speed(0.0)),
@@ -482,7 +508,7 @@ impl<S: Scalar> Supervisor<S> {
                 self.is_lost = false;
                 self.drive.clear_fault();
             }
-            Mode::Boot => {}
+            Mode::Boot | Mode::Commissioning => {}
         }
         true
     }
@@ -515,6 +541,47 @@ impl<S: Scalar> Supervisor<S> {
     #[inline]
     pub fn drive(&self) -> &Drive<S> {
         &self.drive
+    }
+}
+
+/// Measuring needs floating point.
+impl Supervisor<f32> {
+    /// Arms the drive to measure its motor, from the mode `Ready`: as soon as the bootstrap capacitors are charged, the mode is `Commissioning`, and
+    /// [`step_commissioning`](Self::step_commissioning) is to be called in place of [`step`](Self::step). Ended by [`Command::Off`]
+    /// or [`Command::Stop`] at any time.
+    pub fn start_commissioning(&mut self) -> Result<(), Refusal> {
+        self.silence = 0;
+        if self.happens(Event::Commission) { Ok(()) } else { Err(Refusal::Mode(self.mode)) }
+    }
+
+    /// As [`step`](Self::step), with `commission` in the place of the drive. All protections hold but those by the motor's model, of which nothing
+    /// is known yet: speed and travel are held by the limits that `commission` has. In other modes than `Commissioning` it is
+    /// `step`, and in that mode `step` alone keeps outputs off.
+    #[cold]
+    #[inline(never)]
+    pub fn step_commissioning(
+        &mut self,
+        sample: &Sample<f32>,
+        conditions: &Conditions,
+        commission: &mut Commission,
+    ) -> Output<f32> {
+        let idle = self.step(sample, conditions);
+        if self.mode != Mode::Commissioning {
+            return idle;
+        }
+        if let Some(fault) = self.drive.electrical_fault() {
+            self.latch(fault);
+            return idle;
+        }
+        let command = commission.step(sample);
+        if commission.phase() == Phase::Over {
+            self.happens(Event::Measured);
+        } else if let BridgeCommand::Duty(duty) = command {
+            let [current, _] = self.drive.current_and_bus();
+            self.mean_square += f32::combine(&self.per_turn, [current.square()]);
+            self.output = Output::Duty(duty);
+        }
+        self.output
     }
 }
 

@@ -3,7 +3,10 @@
 mod common;
 
 use common::{controls, every_name, names, parameters, with_control};
+use host_sim::commission_bench::Bench;
+use host_sim::scoreboard::motors::Machine;
 use proptest::prelude::*;
+use quasidrive::commission::{Evidence, Nameplate, NoLoad, Phase, Progress};
 use quasidrive::config::ConfigError;
 use quasidrive::control::ControlConfig;
 use quasidrive::fault::{ActiveLimits, Fault, Faults};
@@ -23,6 +26,7 @@ struct Recorder {
     commands: Vec<Command>,
     told: Vec<&'static str>,
     telemetry: Vec<Telemetry>,
+    evidence: Option<Evidence>,
     refusal: Option<Refusal<'static>>,
 }
 
@@ -34,6 +38,7 @@ impl Recorder {
             commands: Vec::new(),
             told: Vec::new(),
             telemetry: Vec::new(),
+            evidence: None,
             refusal: None,
         }
     }
@@ -76,6 +81,19 @@ impl Device for Recorder {
         self.done("save")
     }
 
+    fn commission(&mut self, nameplate: &Nameplate) -> Result<(), Refusal<'static>> {
+        assert_eq!(*nameplate, NAMEPLATE);
+        self.done("commission")
+    }
+
+    fn progress(&self) -> Progress {
+        Progress { phase: Phase::Long, share: 0.25 }
+    }
+
+    fn evidence(&mut self) -> Option<Evidence> {
+        self.evidence
+    }
+
     fn set_telemetry(&mut self, decimation: u32) {
         assert_eq!(decimation, 7);
         self.told.push("telemetry");
@@ -84,6 +102,25 @@ impl Device for Recorder {
     fn next_telemetry(&mut self) -> Option<Telemetry> {
         self.telemetry.pop()
     }
+}
+
+const NAMEPLATE: Nameplate = Nameplate {
+    voltage: Some(24.0),
+    no_load_speed: None,
+    counts_per_turn: Some(-4096),
+    current: Some(5.0),
+    speed: Some(300.0),
+    travel: None,
+};
+
+/// Of a motor that was measured to the end: all that there can be.
+fn evidence() -> Evidence {
+    let bench = Bench::machine(&Machine::PAPER, 4096);
+    let mut config = bench.config();
+    config.no_load = Some(NoLoad { speed: 390.0, voltage: 24.0 });
+    let mut evidence = None;
+    bench.run_with(&config, |commission, _| evidence = Some(commission.evidence()));
+    evidence.expect("played")
 }
 
 fn frame(sequence: u16, request: Request) -> Vec<u8> {
@@ -399,6 +436,47 @@ fn telemetry_comes_when_asked_for_between_answers() {
 }
 
 #[test]
+fn a_motor_is_measured_where_the_drive_is_ready_only() {
+    for mode in [Mode::Ready, Mode::Armed, Mode::Running, Mode::Commissioning, Mode::Faulted] {
+        let mut device = Recorder::new(mode);
+        let is_ready = mode == Mode::Ready;
+        let expected = if is_ready { Answer::Done } else { Answer::Refused(Refusal::Mode(mode)) };
+        ask(&mut device, Request::Commission(NAMEPLATE), |answer| assert_eq!(answer, expected));
+        assert_eq!(device.told.contains(&"commission"), is_ready, "{mode:?}");
+    }
+    let mut device = Recorder::new(Mode::Ready);
+    device.refusal = Some(Refusal::Config { field: "travel", rule: "must", value: 0.0 });
+    ask(&mut device, Request::Commission(NAMEPLATE), |answer| {
+        assert!(matches!(answer, Answer::Refused(Refusal::Config { field: "travel", .. })));
+    });
+}
+
+#[test]
+fn progress_is_told_at_any_time_and_evidence_with_outputs_off() {
+    let mut device = Recorder::new(Mode::Commissioning);
+    let progress = Progress { phase: Phase::Long, share: 0.25 };
+    ask(&mut device, Request::ReadProgress, |answer| {
+        assert_eq!(answer, Answer::Progress(progress));
+    });
+    let measured = evidence();
+    assert!(measured.findings().inertia.is_ok());
+    device.evidence = Some(measured);
+    ask(&mut device, Request::ReadEvidence, |answer| {
+        assert_eq!(answer, Answer::Refused(Refusal::Mode(Mode::Commissioning)));
+    });
+    for mode in [Mode::Ready, Mode::Faulted] {
+        device.mode = mode;
+        ask(&mut device, Request::ReadEvidence, |answer| {
+            assert_eq!(answer, Answer::Evidence(measured));
+        });
+    }
+    device.evidence = None;
+    ask(&mut device, Request::ReadEvidence, |answer| {
+        assert_eq!(answer, Answer::Refused(Refusal::NotCommissioned));
+    });
+}
+
+#[test]
 fn the_longest_message_fits() {
     // The longest refusals of a value are in `tests/parameters.rs`.
     let longest = "x".repeat(LONGEST_PATH);
@@ -413,6 +491,8 @@ fn the_longest_message_fits() {
         build: "0123456789012345678901234567890123456789-dirty",
     };
     let answer = Answer::Identity(identity);
+    assert!(bytes(&Message::Answer { sequence: u16::MAX, answer }).len() <= LONGEST);
+    let answer = Answer::Evidence(evidence());
     assert!(bytes(&Message::Answer { sequence: u16::MAX, answer }).len() <= LONGEST);
     let text = "x".repeat(LONGEST);
     assert_eq!(encode(&text.as_str(), &mut [0; LONGEST]), None, "what does not fit is no frame");

@@ -1,13 +1,17 @@
 //! What the supervisor promises: outputs are off unless armed and without fault, whatever comes; each transition and each
 //! protection by what makes it.
 
+use host_sim::board::SimulatedBoard;
+use host_sim::commission_bench::Bench as MotorBench;
+use host_sim::scoreboard::motors::Machine;
 use proptest::prelude::*;
+use quasidrive::commission::{Commission, Nameplate, Phase, Reason};
 use quasidrive::control::paper::{Form, Gains, Law, PaperConfig, Start};
 use quasidrive::control::{ControlConfig, Timing};
 use quasidrive::drive::{DriveConfig, Limits};
 use quasidrive::estimate::SpeedSource;
 use quasidrive::fault::{ActiveLimit, Fault, Faults};
-use quasidrive::hal::{Codes, Exact, READS, Sample};
+use quasidrive::hal::{Board, BridgeCommand, Codes, Exact, READS, Sample};
 use quasidrive::motor::MotorParameters;
 use quasidrive::sense::Sensors;
 use quasidrive::shunts::CurrentSensors;
@@ -68,6 +72,7 @@ const CHARGED: u32 = 600;
 #[derive(Clone)]
 struct Bench {
     supervisor: Supervisor<f32>,
+    commission: Commission,
     sample: Exact<f32>,
     conditions: Conditions,
 }
@@ -75,10 +80,12 @@ struct Bench {
 impl Bench {
     fn new() -> Self {
         let supervisor = Supervisor::new(&CONFIG, &PROTECTION).expect("valid");
-        Self { supervisor, sample: REST, conditions: GOOD }
+        let config = Nameplate::default().config(&CONFIG).expect("complete");
+        let commission = Commission::new(&config).expect("valid");
+        Self { supervisor, commission, sample: REST, conditions: GOOD }
     }
 
-    /// At the first period of a mode.
+    /// At the first period of a mode, or of outputs on in it.
     fn reached(mode: Mode) -> Self {
         let mut bench = Self::new();
         match mode {
@@ -105,6 +112,15 @@ impl Bench {
                 bench = Self::reached(Mode::Running);
                 bench.supervisor.latch(Fault::Overrun);
             }
+            // Until outputs are on.
+            Mode::Commissioning => {
+                bench = Self::reached(Mode::Ready);
+                bench.supervisor.start_commissioning().expect("ready");
+                assert_eq!(bench.supervisor.mode(), Mode::Armed);
+                while !matches!(bench.step(), Output::Duty(_)) {
+                    let _ = bench.command(Command::KeepAlive);
+                }
+            }
         }
         assert_eq!(bench.supervisor.mode(), mode);
         bench
@@ -115,7 +131,8 @@ impl Bench {
     }
 
     fn step(&mut self) -> Output<f32> {
-        self.supervisor.step(&Sample::Exact(self.sample), &self.conditions)
+        let sample = Sample::Exact(self.sample);
+        self.supervisor.step_commissioning(&sample, &self.conditions, &mut self.commission)
     }
 
     fn play(&mut self, periods: u32) {
@@ -141,7 +158,7 @@ impl Bench {
     }
 }
 
-const MODES: [Mode; 7] = [
+const MODES: [Mode; 8] = [
     Mode::Boot,
     Mode::Calibrating,
     Mode::Ready,
@@ -149,6 +166,7 @@ const MODES: [Mode; 7] = [
     Mode::Running,
     Mode::Stopping,
     Mode::Faulted,
+    Mode::Commissioning,
 ];
 
 /// Makes an event happen.
@@ -164,6 +182,16 @@ fn provoke(bench: &mut Bench, event: Event) {
             bench.play(A_TURN);
         }
         Event::Charged => bench.play(CHARGED),
+        Event::Commission => bench.supervisor.start_commissioning().expect("ready"),
+        Event::ChargedToMeasure => {
+            *bench = Bench::reached(Mode::Ready);
+            bench.supervisor.start_commissioning().expect("ready");
+            bench.play(CHARGED);
+        }
+        Event::Measured => {
+            bench.commission.abort();
+            bench.play(1);
+        }
         Event::Stopped => {
             bench.sample.speed = 1.0;
             bench.play(A_TURN);
@@ -183,6 +211,7 @@ fn each_transition_happens_by_what_makes_it() {
         provoke(&mut bench, event);
         assert_eq!(bench.supervisor.mode(), to, "{from:?} by {event:?}");
         let output = bench.step();
+        // Commissioning begins with outputs off.
         let is_on = matches!(to, Mode::Armed | Mode::Running | Mode::Stopping);
         assert_eq!(output != Output::Off, is_on, "{from:?} by {event:?}: {output:?}");
     }
@@ -252,8 +281,13 @@ fn faults_of_the_drive_and_of_the_hardware_switch_off_in_the_same_period() {
         (Exact { advance: 1.0, ..REST }, Fault::EncoderJump),
         (nan, Fault::BadSample),
     ];
-    for mode in [Mode::Running, Mode::Stopping] {
+    for mode in [Mode::Running, Mode::Stopping, Mode::Commissioning] {
         for (sample, fault) in samples {
+            // Not by the drive's own limits of the shaft, but by those that commissioning has.
+            if mode == Mode::Commissioning && matches!(fault, Fault::Overspeed | Fault::EncoderJump)
+            {
+                continue;
+            }
             let mut bench = Bench::reached(mode);
             bench.sample = sample;
             assert_eq!(bench.time_to(fault), 0.0);
@@ -302,6 +336,10 @@ fn a_current_trips_after_the_time_that_heat_takes_and_a_lesser_one_never() {
         let error = (bench.time_to(Fault::Overload) - expected).abs();
         assert!(error < 0.0064 + expected / 60.0, "{current} A: {error} s from {expected} s");
     }
+    // Commissioning warms the motor as driving does.
+    let mut bench = Bench::reached(Mode::Commissioning);
+    bench.sample.current = 8.0;
+    assert!(bench.time_to(Fault::Overload) < 0.07);
     let mut bench = Bench::reached(Mode::Running);
     bench.sample.current = 3.95;
     let mut warm = false;
@@ -471,10 +509,237 @@ fn refusals_name_the_field() {
     }
 }
 
+/// A supervised drive on a simulated motor, which its parameters describe wrongly.
+struct Motor {
+    supervisor: Supervisor<f32>,
+    commission: Commission,
+    board: SimulatedBoard<f32>,
+    conditions: Conditions,
+}
+
+impl Motor {
+    /// As commissioning starts.
+    fn commissioned(bench: &MotorBench, nameplate: &Nameplate) -> Self {
+        let mut parameters = bench.scenario.parameters();
+        parameters.drive.motor.inertia *= 5.0;
+        parameters.drive.motor.back_emf_constant *= 0.3;
+        parameters.drive.motor.resistance *= 4.0;
+        parameters.protection.command_timeout = 0.2;
+        let config = nameplate.config(&parameters.drive).expect("complete");
+        let supervisor = Supervisor::new(&parameters.drive, &parameters.protection);
+        let supervisor: Supervisor<f32> = supervisor.expect("valid");
+        let mut motor = Self {
+            board: SimulatedBoard::new(&bench.scenario, *supervisor.drive().bases()),
+            supervisor,
+            commission: Commission::new(&config).expect("valid"),
+            conditions: GOOD,
+        };
+        motor.play(2 * A_TURN);
+        motor.supervisor.start_commissioning().expect("ready");
+        motor
+    }
+
+    fn paper() -> Self {
+        let bench = MotorBench::machine(&Machine::PAPER, 4096);
+        Self::commissioned(&bench, &Nameplate::default())
+    }
+
+    fn step(&mut self) -> Output<f32> {
+        let sample = self.board.sample();
+        let output =
+            self.supervisor.step_commissioning(&sample, &self.conditions, &mut self.commission);
+        self.board.apply(match output {
+            Output::Duty(duty) => BridgeCommand::Duty(duty),
+            Output::Off | Output::Charge => BridgeCommand::Off,
+        });
+        output
+    }
+
+    fn play(&mut self, periods: u32) {
+        for _ in 0..periods {
+            self.step();
+        }
+    }
+
+    /// Plays, with the host there, until outputs are on in a phase (they are off in the first) or it is over.
+    fn reach(&mut self, phase: Phase) {
+        for period in 0..400_000 {
+            let output = self.step();
+            let is_on = phase == Phase::Rest || matches!(output, Output::Duty(duty) if duty != 0.0);
+            let begun = self.supervisor.mode() == Mode::Commissioning;
+            if self.commission.phase() == phase && (phase == Phase::Over || begun && is_on) {
+                return;
+            }
+            if period % 1000 == 0 {
+                let _ = self.supervisor.command(Command::KeepAlive);
+            }
+        }
+        unreachable!("no {phase:?}, but {:?}", self.commission.findings());
+    }
+
+    #[track_caller]
+    fn assert_off(&mut self, mode: Mode) {
+        assert_eq!(self.supervisor.mode(), mode);
+        for _ in 0..5000 {
+            assert_eq!(self.step(), Output::Off);
+        }
+        assert_eq!(self.supervisor.mode(), mode);
+    }
+}
+
+const PHASES: [Phase; 6] =
+    [Phase::Rest, Phase::Pulses, Phase::Launch, Phase::Trial, Phase::Short, Phase::Long];
+
+#[test]
+fn a_motor_is_measured_with_a_wrong_model_in_force() {
+    let mut motor = Motor::paper();
+    motor.reach(Phase::Over);
+    let findings = motor.commission.findings();
+    assert_eq!((findings.stopped, motor.supervisor.faults()), (None, Faults::NONE));
+    let truth = MotorParameters::PAPER;
+    for (found, truth) in [
+        (findings.resistance, truth.resistance),
+        (findings.back_emf_constant, truth.back_emf_constant),
+        (findings.inertia, truth.inertia),
+    ] {
+        let value = found.expect("seen").value;
+        assert!((value / truth - 1.0).abs() < 0.02, "{value} is not {truth}");
+    }
+    motor.assert_off(Mode::Ready);
+}
+
+#[test]
+fn aborted_in_any_phase_outputs_are_off_at_once() {
+    for phase in PHASES {
+        for command in [Command::Off, Command::Stop] {
+            let mut motor = Motor::paper();
+            motor.reach(phase);
+            motor.supervisor.command(command).expect("commissioning");
+            motor.assert_off(Mode::Ready);
+            assert_eq!(motor.commission.phase(), phase, "goes no further");
+        }
+    }
+    // Before it has begun.
+    let mut motor = Motor::paper();
+    assert_eq!(motor.step(), Output::Charge);
+    motor.supervisor.command(Command::Off).expect("armed");
+    motor.assert_off(Mode::Ready);
+    // And an armed drive drives afterwards.
+    motor.supervisor.command(Command::Arm).expect("ready");
+    while motor.supervisor.mode() == Mode::Armed {
+        motor.step();
+    }
+    assert_eq!(motor.supervisor.mode(), Mode::Running);
+}
+
+#[test]
+fn faults_end_commissioning_in_any_phase() {
+    type Provoke = fn(&mut Motor);
+    let cases: [(Provoke, Fault); 5] = [
+        (|motor| motor.conditions.tripped = true, Fault::HardwareTrip),
+        (|motor| motor.conditions.temperature = 150.0, Fault::Overtemperature),
+        (
+            |motor| motor.conditions.current_sensors = CurrentSensors::Disagree,
+            Fault::CurrentSensors,
+        ),
+        (|motor| motor.supervisor.latch(Fault::SelfTest), Fault::SelfTest),
+        (|_| {}, Fault::CommandLost),
+    ];
+    for phase in PHASES {
+        for (provoke, fault) in cases {
+            let mut motor = Motor::paper();
+            motor.reach(phase);
+            provoke(&mut motor);
+            // The longest is the timeout, 0.2 s.
+            let mut periods = 0;
+            while motor.supervisor.mode() != Mode::Faulted && periods < 5000 {
+                motor.step();
+                periods += 1;
+            }
+            assert!(motor.supervisor.faults().contains(fault), "{phase:?}, {fault}");
+            let slow = if fault == Fault::CommandLost { 4200 } else { A_TURN };
+            assert!(periods <= slow, "{phase:?}, {fault}: {periods}");
+            motor.assert_off(Mode::Faulted);
+            assert_eq!(motor.supervisor.start_commissioning(), Err(Refusal::Mode(Mode::Faulted)));
+        }
+    }
+}
+
+#[test]
+fn without_what_measures_outputs_stay_off() {
+    let mut motor = Motor::paper();
+    motor.reach(Phase::Long);
+    let sample = motor.board.sample();
+    for _ in 0..3 {
+        assert_eq!(motor.supervisor.step(&sample, &GOOD), Output::Off);
+    }
+    motor.supervisor.command(Command::Off).expect("commissioning");
+    assert_eq!(motor.supervisor.mode(), Mode::Ready);
+}
+
+#[test]
+fn a_blocked_rotor_ends_it_without_a_fault() {
+    let mut bench = MotorBench::machine(&Machine::PAPER, 4096);
+    bench.scenario.motor.inertia *= 1e5;
+    let mut motor = Motor::commissioned(&bench, &Nameplate::default());
+    motor.reach(Phase::Over);
+    let findings = motor.commission.findings();
+    assert_eq!(findings.inertia, Err(Reason::Blocked));
+    assert!(findings.resistance.is_ok());
+    motor.assert_off(Mode::Ready);
+}
+
+#[test]
+fn a_nameplates_limits_hold() {
+    let bench = MotorBench::machine(&Machine::PAPER, 4096);
+    let [current, speed, travel, voltage] = [4.0, 120.0, 20.0, 6.0];
+    let nameplate = Nameplate {
+        voltage: Some(voltage),
+        no_load_speed: Some(voltage / 59e-3 * 0.97),
+        counts_per_turn: None,
+        current: Some(current),
+        speed: Some(speed),
+        travel: Some(travel),
+    };
+    let mut motor = Motor::commissioned(&bench, &nameplate);
+    let mut angle = 0.0_f64;
+    let mut largest = [0.0_f64; 4];
+    while motor.commission.phase() != Phase::Over {
+        let output = motor.step();
+        let state = motor.board.state();
+        angle += state.speed / f64::from(RATE);
+        let duty = if let Output::Duty(duty) = output { f64::from(duty) } else { 0.0 };
+        let reached = [state.current, state.speed, angle, duty * bench.scenario.bus.voltage];
+        for (largest, reached) in largest.iter_mut().zip(reached) {
+            *largest = largest.max(reached.abs());
+        }
+        let _ = motor.supervisor.command(Command::KeepAlive);
+    }
+    assert_eq!(motor.commission.findings().stopped, None);
+    // A code of the converter's noise on what the bus voltage is.
+    for (largest, limit) in largest.into_iter().zip([current, speed, travel, 1.002 * voltage]) {
+        assert!(largest <= f64::from(limit), "{largest} of {limit}");
+    }
+    assert!(largest[3] > 0.5 * f64::from(voltage));
+    let no_voltage = Nameplate { voltage: None, ..nameplate };
+    let error = no_voltage.config(&CONFIG).expect_err("half a nameplate");
+    assert_eq!(error.field, "no_load.voltage");
+    let counts = Nameplate { counts_per_turn: Some(-500), ..nameplate };
+    let drive = bench.scenario.drive_config();
+    let Sensors::Codes(calibration) = counts.config(&drive).expect("complete").sensors else {
+        unreachable!("a bench has codes")
+    };
+    assert_eq!(calibration.counts_per_turn, -500);
+    let beyond = Nameplate { current: Some(1.1 * drive.limits.current), ..nameplate };
+    let error = Commission::new(&beyond.config(&drive).expect("complete")).expect_err("too much");
+    assert_eq!(error.field, "limits.current_command");
+}
+
 /// What may happen to a supervisor.
 #[derive(Clone, Debug)]
 enum Happening {
     Command(Command),
+    Commission,
     Latch(Fault),
     Periods(u32, Sample<f32>, Conditions),
 }
@@ -521,6 +786,7 @@ fn happening() -> impl Strategy<Value = Happening> {
     let periods = prop_oneof![Just(1_u32), 1_u32..700];
     prop_oneof![
         4 => command.prop_map(Happening::Command),
+        1 => Just(Happening::Commission),
         1 => prop::sample::select(&Fault::ALL[..]).prop_map(Happening::Latch),
         6 => (periods, sample, conditions)
             .prop_map(|(periods, sample, conditions)| Happening::Periods(periods, sample, conditions)),
@@ -534,7 +800,8 @@ proptest! {
     fn outputs_are_off_unless_armed_and_without_fault(
         happenings in prop::collection::vec(happening(), 1..40),
     ) {
-        let mut supervisor = Supervisor::<f32>::new(&CONFIG, &PROTECTION).expect("valid");
+        let Bench { mut supervisor, commission: fresh, .. } = Bench::new();
+        let mut commission = fresh.clone();
         // Kept beside it: whether it was armed since outputs last had to go off.
         let mut armed = false;
         let mut latched = Faults::NONE;
@@ -550,6 +817,13 @@ proptest! {
                     }
                     prop_assert!(!(armed && taken && command == Command::Arm && !latched.is_empty()));
                 }
+                Happening::Commission => {
+                    if supervisor.start_commissioning().is_ok() {
+                        prop_assert!(latched.is_empty());
+                        commission = fresh.clone();
+                        armed = true;
+                    }
+                }
                 Happening::Latch(fault) => {
                     supervisor.latch(fault);
                     latched.latch(fault);
@@ -557,7 +831,7 @@ proptest! {
                 Happening::Periods(periods, sample, conditions) => {
                     for _ in 0..periods {
                         let was_on = supervisor.output() != Output::Off;
-                        let output = supervisor.step(&sample, &conditions);
+                        let output = supervisor.step_commissioning(&sample, &conditions, &mut commission);
                         if conditions.tripped {
                             latched.latch(Fault::HardwareTrip);
                         }

@@ -1,6 +1,7 @@
 //! The host's end of the link: a drive behind a serial port or a socket, asked and answering.
 
 use crate::assignment::Assignment;
+use quasidrive::commission::{Findings, Progress};
 use quasidrive::link::BAUD_RATE;
 use quasidrive::link::frame::{Decoder, LONGEST, encode};
 use quasidrive::link::message::{
@@ -144,6 +145,22 @@ impl Client {
     pub fn status(&mut self) -> Result<Status, ClientError> {
         self.ask(Request::Status, |answer| match answer {
             Answer::Status(status) => Ok(status),
+            answer => Err(unwanted(answer)),
+        })
+    }
+
+    /// How far commissioning is.
+    pub fn progress(&mut self) -> Result<Progress, ClientError> {
+        self.ask(Request::ReadProgress, |answer| match answer {
+            Answer::Progress(progress) => Ok(progress),
+            answer => Err(unwanted(answer)),
+        })
+    }
+
+    /// What commissioning found.
+    pub fn findings(&mut self) -> Result<Findings, ClientError> {
+        self.ask(Request::ReadEvidence, |answer| match answer {
+            Answer::Evidence(evidence) => Ok(evidence.findings()),
             answer => Err(unwanted(answer)),
         })
     }

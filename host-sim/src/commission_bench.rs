@@ -172,6 +172,7 @@ impl Bench {
             sensors: drive.sensors,
             timing: drive.timing,
             limits: drive.limits,
+            voltage: f32::INFINITY,
             travel: self.travel as f32,
             no_load: None,
         }

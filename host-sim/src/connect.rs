@@ -2,6 +2,7 @@
 
 use crate::assignment::{self, Assignment, in_order, list};
 use crate::client::Client;
+use crate::commission::{self, Commission};
 use crate::scenario::{Controller, Scenario};
 use crate::watch::{self, Watch};
 use anyhow::{Result, bail};
@@ -52,6 +53,8 @@ enum Action {
     Clear,
     /// Show speed, current and voltage as they change, and keep the drive alive. On a terminal, with keys that command it.
     Watch(Watch),
+    /// Have the drive measure its motor, tune it from what was found, and verify. The shaft turns to and fro, up to the limits; Ctrl-C ends it.
+    Commission(Commission),
     /// Show, change or save parameters.
     Parameters {
         #[command(subcommand)]
@@ -94,6 +97,9 @@ pub fn run(connect: &Connect) -> Result<Option<Status>> {
         }
         Action::Clear => client.command(Command::Clear)?,
         Action::Watch(watch) => return Ok(Some(watch::run(&mut client, watch)?)),
+        Action::Commission(commission) => {
+            return Ok(Some(commission::run(&mut client, commission)?));
+        }
         Action::Parameters { action } => {
             parameters(&mut client, action)?;
             return Ok(None);

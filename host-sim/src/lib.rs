@@ -11,10 +11,12 @@
 //! - [`link`]: where the drive runs, here or in [`qemu`];
 //! - [`simulation`]: plays a scenario, period by period;
 //! - [`frame`]: what is recorded of a period; [`metrics`]: figures of merit of a run;
+//! - [`interruption`]: whether the process is asked to end;
 //! - [`reproduction`]: the runs that reproduce the paper;
 //! - [`scoreboard`]: every controller on the same sensors, and the search for the best of its kind;
 //! - [`virtual_drive`]: a drive on the simulated board that speaks the firmware's link; [`serve`] puts it behind a socket;
-//! - [`client`]: the host's end of the link; [`connect`] and [`watch`] are its commands, [`assignment`] its names of parameters;
+//! - [`client`]: the host's end of the link; [`connect`], [`commission`] and [`watch`] are its commands, [`assignment`] its names of
+//!   parameters;
 //! - [`wired`]: motor, power stage and sensors behind the pins of an emulated board, switch by switch;
 //! - [`emulated`]: the firmware's image on an emulated board, with that motor: scenarios, faults, agreement;
 //! - [`report`]: what they show, as HTML and in the terminal; [`plot`] and [`terminal`] draw its plots and tables.
@@ -22,12 +24,14 @@
 pub mod assignment;
 pub mod board;
 pub mod client;
+pub mod commission;
 pub mod commission_bench;
 pub mod connect;
 pub mod double;
 pub mod emulated;
 pub mod flash;
 pub mod frame;
+pub mod interruption;
 pub mod link;
 pub mod metrics;
 pub mod plant;

@@ -7,6 +7,7 @@ use host_sim::double::SimulatedScalar;
 use host_sim::emulated::agreement::Agreement;
 use host_sim::flash::SimulatedFlash;
 use host_sim::frame::Frame;
+use host_sim::interruption::interruption;
 use host_sim::link::{LinkError, Local, LockStep};
 use host_sim::metrics::Metrics;
 use host_sim::qemu::{Emulator, PATIENCE, Qemu};
@@ -25,9 +26,6 @@ use std::io::{ErrorKind, Write, stdout};
 use std::net::{Ipv4Addr, TcpListener};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::sync::Once;
-use std::sync::atomic::AtomicBool;
-use std::sync::atomic::Ordering::Relaxed;
 
 /// Plays scenarios: quasidrive's speed loop against a simulated brushed DC motor.
 ///
@@ -574,16 +572,6 @@ fn in_lock_step<S: SimulatedScalar + Word>(
     };
     let target = Qemu::start::<S>(&emulator, &config).map_err(LinkError::from)?;
     Ok(simulate_on(&mut LockStep::new(host, target), scenario, each)?)
-}
-
-/// Becomes true when the process is asked to end, so that it can take QEMU with it.
-fn interruption() -> Result<&'static AtomicBool> {
-    static INTERRUPTED: AtomicBool = AtomicBool::new(false);
-    static HANDLER: Once = Once::new();
-    let mut set = Ok(());
-    HANDLER.call_once(|| set = ctrlc::set_handler(|| INTERRUPTED.store(true, Relaxed)));
-    set.context("cannot listen for interruptions")?;
-    Ok(&INTERRUPTED)
 }
 
 /// A progress bar on a terminal; nothing in a pipe.

@@ -6,6 +6,7 @@
 use crate::board::SimulatedBoard;
 use crate::flash::SimulatedFlash;
 use crate::scenario::Scenario;
+use quasidrive::commission::{Commission, Evidence, Nameplate, Progress};
 use quasidrive::config::ConfigError;
 use quasidrive::control::{ControlConfig, Timing};
 use quasidrive::drive::{DriveConfig, ReadyController};
@@ -16,7 +17,7 @@ use quasidrive::link::session::Device;
 use quasidrive::parameters::Parameters;
 use quasidrive::parameters::store::{Loaded, Origin, ParameterStore, RegionError};
 use quasidrive::shunts::CurrentSensors;
-use quasidrive::supervisor::{Command, Conditions, Output, Supervisor};
+use quasidrive::supervisor::{Command, Conditions, Mode, Output, Supervisor};
 use std::collections::VecDeque;
 use std::ops::Range;
 use std::time::{Duration, Instant};
@@ -38,6 +39,8 @@ const CONDITIONS: Conditions = Conditions {
 /// A supervised drive on the simulated board of a scenario.
 pub struct VirtualDrive {
     supervisor: Supervisor<f32>,
+    /// What measures the motor, or has measured it.
+    commission: Option<Commission>,
     board: SimulatedBoard<f32>,
     parameters: Parameters,
     flash: SimulatedFlash,
@@ -67,6 +70,7 @@ impl VirtualDrive {
         Ok(Self {
             board: SimulatedBoard::new(scenario, *supervisor.drive().bases()),
             supervisor,
+            commission: None,
             parameters,
             flash,
             period: 0,
@@ -81,7 +85,12 @@ impl VirtualDrive {
     pub fn run_period(&mut self) {
         let sample = self.board.sample();
         let start = Instant::now();
-        let output = self.supervisor.step(&sample, &CONDITIONS);
+        let output = match &mut self.commission {
+            Some(commission) => {
+                self.supervisor.step_commissioning(&sample, &CONDITIONS, commission)
+            }
+            None => self.supervisor.step(&sample, &CONDITIONS),
+        };
         self.interrupt_time = start.elapsed();
         self.longest_interrupt_time = self.longest_interrupt_time.max(self.interrupt_time);
         self.board.apply(match output {
@@ -116,6 +125,10 @@ impl VirtualDrive {
             longest_interrupt_time: nanoseconds(self.longest_interrupt_time),
         };
         match (output, drive.telemetry()) {
+            // The drive does not drive.
+            (Output::Duty(duty), _) if self.supervisor.mode() == Mode::Commissioning => {
+                Telemetry { voltage: duty * bus_voltage, ..idle }
+            }
             (Output::Duty(_), Some(driven)) => Telemetry {
                 reference: driven.reference.speed,
                 voltage: driven.voltage,
@@ -193,6 +206,27 @@ impl Device for VirtualDrive {
     fn save_parameters(&mut self) -> Result<(), Refusal<'static>> {
         let saved = store(&mut self.flash).map(|mut store| store.save(&self.parameters));
         if matches!(saved, Ok(Ok(()))) { Ok(()) } else { Err(Refusal::NotSaved) }
+    }
+
+    fn commission(&mut self, nameplate: &Nameplate) -> Result<(), Refusal<'static>> {
+        let commission = Commission::new(&nameplate.config(&self.parameters.drive)?)?;
+        self.supervisor.start_commissioning()?;
+        self.commission = Some(commission);
+        Ok(())
+    }
+
+    fn progress(&self) -> Progress {
+        match (self.supervisor.mode(), &self.commission) {
+            (Mode::Armed | Mode::Commissioning, Some(commission)) => commission.progress(),
+            _ => Progress::OVER,
+        }
+    }
+
+    fn evidence(&mut self) -> Option<Evidence> {
+        let commission = self.commission.as_mut()?;
+        // Whatever ended it.
+        commission.abort();
+        Some(commission.evidence())
     }
 
     fn set_telemetry(&mut self, decimation: u32) {

@@ -4,6 +4,8 @@ use assert_cmd::Command;
 use host_sim::client::{Client, ClientError};
 use predicates::prelude::*;
 use predicates::str::contains;
+use quasidrive::commission::Reason;
+use quasidrive::fault::Fault;
 use quasidrive::link::message::Request;
 use quasidrive::supervisor::{Command as DriveCommand, Mode};
 use std::io::{BufRead, BufReader, Read, Write};
@@ -350,6 +352,150 @@ fn a_controller_is_tuned_for_the_drives_own_motor() {
     let (light, heavy) = (tuned("0.0001"), tuned("0.0016"));
     // The ripple rises with the inertia and the fourth power of the bandwidth.
     assert!((light / heavy - 2.0).abs() < 1e-3, "{light}, {heavy}");
+}
+
+/// A parameter of the drive.
+fn parameter(served: &Served, name: &str) -> f64 {
+    let parameters = served.client().parameters().expect("listed");
+    let (_, setting) = parameters.iter().find(|(path, _)| path == name).expect(name);
+    setting.to_string().parse().expect("a number")
+}
+
+/// What commissioning is to correct.
+const WRONG: [&str; 5] = [
+    "motor.inertia=0.0003",
+    "motor.resistance=2",
+    "motor.inductance=0.0005",
+    "motor.back_emf_constant=0.03",
+    "sensors.counts_per_turn=-4096",
+];
+
+#[test]
+fn a_wrong_model_is_corrected_verified_and_saved() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = |name: &str| folder.path().join(name).to_str().expect("text").to_owned();
+    let (flash, report) = (path("flash"), path("report.html"));
+    let served = Served::start(&["--flash", &flash]);
+    served.connect(&["parameters", "set"]).args(WRONG).assert().success();
+    served
+        .connect(&["commission", "--voltage", "24", "--no-load", "390", "--current", "10"])
+        .args(["--apply", "--save", "--report", &report])
+        .assert()
+        .success()
+        .stdout(
+            contains("to and fro, faster: Kb, J, friction")
+                .and(contains("the other way round, its sign is corrected"))
+                .and(contains("inertia J"))
+                .and(contains("verification passed"))
+                .and(contains("saved")),
+        );
+    let html = std::fs::read_to_string(&report).expect("written");
+    assert!(html.matches("<svg").count() == 4 && html.contains("verification passed"));
+    assert!(!html.contains("http://") || !html.contains("src="), "nothing from elsewhere");
+    let check = |served: &Served| {
+        for (name, truth, most) in [
+            ("motor.resistance", 0.7, 0.02),
+            ("motor.inductance", 105e-6, 0.03),
+            ("motor.back_emf_constant", 59e-3, 0.01),
+            // The load of this scenario goes up and down.
+            ("motor.inertia", 7.95e-5, 0.03),
+            ("sensors.counts_per_turn", 4096.0, 0.0),
+            ("limits.current_command", 10.0, 0.0),
+        ] {
+            let value = parameter(served, name);
+            assert!((value / truth - 1.0).abs() <= most, "{name} is {value}");
+        }
+    };
+    check(&served);
+    assert_eq!(served.client().status().expect("answers").mode, Mode::Ready);
+    drop(served);
+    check(&Served::start(&["--flash", &flash]));
+}
+
+#[test]
+fn without_being_asked_nothing_is_applied() {
+    let served = Served::start(&[]);
+    served.connect(&["parameters", "set"]).args(WRONG).assert().success();
+    served
+        .connect(&["commission", "--speed", "150", "--current", "8"])
+        .assert()
+        .success()
+        .stdout(contains("tuned").and(contains("applied").not()));
+    assert_eq!(parameter(&served, "motor.resistance"), 2.0);
+}
+
+#[test]
+fn what_contradicts_the_nameplate_is_not_applied() {
+    let served = Served::start(&[]);
+    // Lines for counts.
+    served
+        .connect(&["commission", "--voltage", "24", "--no-load", "390", "--counts", "1024"])
+        .args(["--speed", "1000", "--current", "10", "--apply", "--save"])
+        .assert()
+        .code(1)
+        .stdout(contains("the nameplate says otherwise").and(contains("applied").not()))
+        .stderr(contains("nothing is changed"));
+    assert_eq!(parameter(&served, "sensors.counts_per_turn"), 4096.0);
+    assert_eq!(served.client().status().expect("answers").mode, Mode::Ready);
+}
+
+#[test]
+fn commissioning_is_refused_where_it_cannot_be() {
+    let served = Served::start(&[]);
+    served
+        .connect(&["commission", "--current", "21"])
+        .assert()
+        .code(1)
+        .stderr(contains("limits.current_command must be at most limits.current"));
+    served.connect(&["commission", "--no-load", "390"]).assert().code(2);
+    served.connect(&["commission", "--save"]).assert().code(2);
+    let mut client = served.running(50.0);
+    let started = client.have_done(Request::Commission(Default::default()));
+    assert!(matches!(started, Err(ClientError::Refused(_))), "{started:?}");
+    assert_eq!(client.status().expect("answers").mode, Mode::Running);
+    let none = client.findings();
+    assert!(matches!(none, Err(ClientError::Refused(_))), "{none:?}");
+}
+
+#[test]
+fn a_host_that_goes_away_ends_commissioning() {
+    let served = Served::start(&[]);
+    let mut client = served.client();
+    client.have_done(Request::Commission(Default::default())).expect("ready");
+    wait_for(&mut client, Mode::Commissioning);
+    drop(client);
+    sleep(Duration::from_millis(1700));
+    let mut client = served.client();
+    let status = client.status().expect("answers");
+    assert_eq!(status.mode, Mode::Faulted);
+    assert!(status.faults.contains(Fault::CommandLost));
+    let findings = client.findings().expect("what there is");
+    assert_eq!(findings.stopped, Some(Reason::Aborted));
+}
+
+/// As Ctrl-C does.
+#[cfg(unix)]
+#[test]
+fn an_interrupted_commissioning_leaves_outputs_off() {
+    let served = Served::start(&[]);
+    let mut commissioning = std::process::Command::new(env!("CARGO_BIN_EXE_host-sim"))
+        .args(["connect", &served.port, "commission", "--apply", "--save"])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("runs");
+    let mut lines = BufReader::new(commissioning.stdout.take().expect("piped")).lines();
+    // It is swinging by then.
+    assert!(lines.any(|line| line.expect("text").starts_with("to and fro: L")));
+    let id = commissioning.id().to_string();
+    assert!(
+        std::process::Command::new("kill").args(["-INT", &id]).status().expect("runs").success()
+    );
+    assert_eq!(commissioning.wait().expect("ends").code(), Some(1));
+    let mut error = String::new();
+    let _ = commissioning.stderr.take().expect("piped").read_to_string(&mut error);
+    assert!(error.contains("interrupted: outputs are off, nothing is saved"), "{error}");
+    assert_eq!(served.client().status().expect("answers").mode, Mode::Ready);
 }
 
 #[test]

@@ -66,6 +66,7 @@ fn log(status: &Status) {
         Mode::Running => "running",
         Mode::Stopping => "stopping",
         Mode::Faulted => "faulted",
+        Mode::Commissioning => "commissioning",
     };
     defmt::info!("{=str}", mode);
     for fault in status.faults.iter() {

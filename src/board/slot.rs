@@ -48,16 +48,24 @@ impl<T> Slot<T> {
         Some(value)
     }
 
-    /// Uses the value up where it is, if there is one: for one that is too large to be moved about.
+    /// Lends the value where it is, if there is one: for one that is too large to be moved about.
     #[inline]
-    pub fn use_up(&self, user: impl FnOnce(&mut T)) {
+    pub fn lend<R>(&self, user: impl FnOnce(&mut T) -> R) -> Option<R> {
+        if !self.claim(FULL) {
+            return None;
+        }
+        // SAFETY: the state is BUSY, by this call, and was FULL: a value was written.
+        let result = user(unsafe { (*self.value.get()).assume_init_mut() });
+        self.state.store(FULL, Ordering::Release);
+        Some(result)
+    }
+
+    /// Ends the value where it is, if there is one.
+    #[inline]
+    pub fn discard(&self) {
         if self.claim(FULL) {
-            // SAFETY: the state is BUSY, by this call, and was FULL: a value was written. It ends here.
-            unsafe {
-                let value = &mut *self.value.get();
-                user(value.assume_init_mut());
-                value.assume_init_drop();
-            }
+            // SAFETY: the state is BUSY, by this call, and was FULL: a value was written. It is not read again.
+            unsafe { (*self.value.get()).assume_init_drop() };
             self.state.store(EMPTY, Ordering::Release);
         }
     }

@@ -1,7 +1,10 @@
 //! What was found: values with their uncertainty, or why they were not seen.
 
+use super::NoLoad;
 use super::fit::Solution;
 use crate::math::{atanh, sqrt};
+use core::fmt;
+use serde::{Deserialize, Serialize};
 
 /// A measured value.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -34,7 +37,7 @@ impl Value {
 }
 
 /// Why something was not seen, or commissioning ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Reason {
     /// [`Commission::abort`](super::Commission::abort).
     Aborted,
@@ -76,6 +79,36 @@ pub enum Reason {
     NoLoadSpeed,
 }
 
+impl fmt::Display for Reason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Aborted => "aborted",
+            Self::NotReached => "it has not come to that",
+            Self::BadSample => "a sample held no number",
+            Self::BusVoltage => "the bus voltage was outside its limits",
+            Self::Overcurrent => "the current was beyond its limit",
+            Self::Overspeed => "the speed was beyond its limit",
+            Self::Travel => "the shaft turned further than its travel",
+            Self::EncoderJump => {
+                "the encoder moved further in a period than the speed limit allows"
+            }
+            Self::Turning => "the shaft turned with outputs off",
+            Self::CurrentZero => "the current sensor showed a current with outputs off",
+            Self::NoisyCurrent => "the current limit is too low for the noise of the current",
+            Self::LeadOpen => "no current flowed: a motor lead is open",
+            Self::Unexplained => "pulses of voltage made a current that no armature makes",
+            Self::Blocked => "the shaft did not turn: it is blocked",
+            Self::EncoderMissing => "the motor turned, and the encoder did not count",
+            Self::TooQuick => "the limits of speed or travel leave no time to turn the shaft back",
+            Self::Ripple => "the currents that the limits allow are within their own ripple",
+            Self::Imprecise => "not known to within half of it: the limits leave too little to see",
+            Self::NoLoadSpeed => {
+                "the nameplate says otherwise: wrong counts per turn, or another motor"
+            }
+        })
+    }
+}
+
 /// All that commissioning finds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Findings {
@@ -110,8 +143,64 @@ pub struct Findings {
     pub load_torque: Result<Value, Reason>,
 }
 
+/// What a drive has measured. [`findings`](Self::findings) is what it says, which a drive leaves to its host: it takes over 1 kB of
+/// code.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Evidence {
+    pub(super) stopped: Option<Reason>,
+    pub(super) bus_voltage: f32,
+    pub(super) current_offset: f32,
+    pub(super) current_noise: f32,
+    pub(super) current_reversed: bool,
+    /// Sampling period (s).
+    pub(super) period: f32,
+    pub(super) no_load: Option<NoLoad>,
+    pub(super) fits: Fits,
+}
+
+impl Evidence {
+    /// What was found until then.
+    pub fn findings(&self) -> Findings {
+        let &Self { stopped, fits, .. } = self;
+        let not_seen = stopped.or(fits.unseen).unwrap_or(Reason::NotReached);
+        let values = fits.values(self.period, not_seen);
+        let [viscous_friction, coulomb_friction, load_torque] = values.torques;
+        Findings {
+            stopped,
+            bus_voltage: self.bus_voltage,
+            current_offset: self.current_offset,
+            current_noise: self.current_noise,
+            current_reversed: self.current_reversed,
+            encoder_reversed: fits.direction.map(|sign| sign < 0.0).ok_or(not_seen),
+            resistance: values.resistance,
+            inductance: values.inductance,
+            voltage_drop: values.voltage_drop,
+            back_emf_constant: values.back_emf_constant.and_then(|value| self.plausible(value)),
+            inertia: values.inertia,
+            viscous_friction,
+            coulomb_friction,
+            load_torque,
+        }
+    }
+
+    /// Refuses a Kb that the nameplate contradicts.
+    fn plausible(&self, back_emf: Value) -> Result<Value, Reason> {
+        let Some(NoLoad { speed, voltage }) = self.no_load else { return Ok(back_emf) };
+        let ratio = back_emf.value * speed / voltage;
+        if (1.0 / NAMEPLATE..=NAMEPLATE).contains(&ratio) {
+            Ok(back_emf)
+        } else {
+            Err(Reason::NoLoadSpeed)
+        }
+    }
+}
+
+/// How far Kb may be from the nameplate's voltage over its speed, either way. Friction and tolerances take up to a fifth; counts in place of lines
+/// are a factor of four.
+const NAMEPLATE: f32 = 1.5;
+
 /// What the phases' fits came to.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct Fits {
     /// Why what is to be seen of a turning shaft cannot be.
     pub unseen: Option<Reason>,

@@ -1,6 +1,7 @@
 //! Weighted least squares for up to four unknowns, in closed form from running sums.
 
 use crate::math::sqrt;
+use serde::{Deserialize, Serialize};
 
 /// Unknowns that a fit has room for. A column that stays zero is none.
 pub(super) const UNKNOWNS: usize = 4;
@@ -45,7 +46,7 @@ pub(super) struct Fit {
 }
 
 /// Unknowns with their standard deviations; of one that the rows do not show the value is 0 and the deviation infinite.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Solution {
     pub values: [f32; UNKNOWNS],
     pub deviations: [f32; UNKNOWNS],

@@ -23,20 +23,22 @@
 //!
 //! # In the supervisor
 //!
-//! A mode `Commissioning`, entered from `Ready` by a command (through `Armed`, which charges the bootstrap capacitors), in which
-//! [`Commission::step`] takes the place of the drive's. `Off`, `Stop`, lost commands and every fault call [`Commission::abort`] and take
-//! outputs off at once; over, it goes to `Ready` with outputs off, and the [findings](Commission::findings) are there to be read until the
-//! next start. Heat and temperature are watched as ever, the hardware's own trip too. Samples in codes are the same whatever the drive
-//! computes in. Between two periods [`tuning::Known::tuned`] makes a configuration of the findings, which is saved like any other, on request.
+//! [`Supervisor::start_commissioning`](crate::supervisor::Supervisor::start_commissioning) begins it, and
+//! [`Supervisor::step_commissioning`](crate::supervisor::Supervisor::step_commissioning) lets [`Commission::step`] take the place of the
+//! drive's. `Off`, `Stop`, lost commands and every fault take outputs off at once. The [evidence](Commission::evidence) is there to be read
+//! until the next start. A host makes findings and a configuration of it ([`tuning::Known::tuned`]), which is applied and saved like any other.
+//! For drives in `f32` only: measuring needs floating point, and a chip without it has not the room.
 
 mod current;
 mod findings;
 mod fit;
+mod nameplate;
 mod pulses;
 pub mod tuning;
 mod window;
 
-pub use findings::{Findings, Reason, Value};
+pub use findings::{Evidence, Findings, Reason, Value};
+pub use nameplate::Nameplate;
 
 use crate::config::{ConfigError, positive, require};
 use crate::control::Timing;
@@ -47,8 +49,9 @@ use crate::per_unit::Bases;
 use crate::sense::{Measured, Sensing, Sensors};
 use current::CurrentLoop;
 use findings::Fits;
-use fit::Fit;
+use fit::{Fit, Solution};
 use pulses::{Pulsed, Pulses};
+use serde::{Deserialize, Serialize};
 use window::{Period, Window};
 
 /// What is known before the motor is measured.
@@ -61,6 +64,8 @@ pub struct CommissionConfig {
     /// Limits that hold at every instant: `duty`, `speed`, `bus_min`, `bus_max`, and `current_command` for the current. (The trip
     /// `current` is the drive's.)
     pub limits: Limits,
+    /// Highest voltage that the motor may get (V). Positive; infinite for what the duty's limit leaves of the bus.
+    pub voltage: f32,
     /// How far the shaft may turn to either side of where it stands (rad). Positive; infinite for a shaft that may turn freely.
     pub travel: f32,
     /// Speed (rad/s) without load at a voltage (V), from the nameplate, if it is known: checks counts.
@@ -68,7 +73,7 @@ pub struct CommissionConfig {
 }
 
 /// A speed without load at a voltage.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct NoLoad {
     /// Speed (rad/s). Positive.
     pub speed: f32,
@@ -77,7 +82,7 @@ pub struct NoLoad {
 }
 
 /// What is being done.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Phase {
     /// Outputs are off: offset and noise.
     Rest,
@@ -93,6 +98,22 @@ pub enum Phase {
     Long,
     /// Over: outputs are off.
     Over,
+}
+
+/// How far it is.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Progress {
+    /// What is being done.
+    pub phase: Phase,
+    /// Share of that phase's longest time that is over, from 0 to 1.
+    pub share: f32,
+}
+
+impl Progress {
+    /// Before the first period.
+    pub const BEGINNING: Self = Self { phase: Phase::Rest, share: 0.0 };
+    /// At the end.
+    pub const OVER: Self = Self { phase: Phase::Over, share: 1.0 };
 }
 
 /// Periods that outputs are off at first.
@@ -183,10 +204,6 @@ const ONWARD: f32 = 0.15;
 /// Windows after which a current turns whose shaft is blocked.
 const BLOCKED_WINDOWS: u32 = 16;
 
-/// How far Kb may be from the nameplate's voltage over its speed, either way. Friction and tolerances take up to a fifth; counts in place of lines
-/// are a factor of four.
-const NAMEPLATE: f32 = 1.5;
-
 /// Measures a motor.
 #[derive(Clone, Debug)]
 pub struct Commission {
@@ -197,6 +214,7 @@ pub struct Commission {
     elapsed: u32,
     sensing: Sensing<f32>,
     limits: Limits,
+    voltage: f32,
     travel: f32,
     no_load: Option<NoLoad>,
     period: f32,
@@ -257,16 +275,18 @@ pub struct Commission {
     ramp: f32,
     armature: Fit,
     shaft: Fit,
+    closing: Closing,
     fits: Fits,
 }
 
 impl Commission {
     /// Refuses a configuration outside its range, naming the field.
     pub fn new(config: &CommissionConfig) -> Result<Self, ConfigError> {
-        let CommissionConfig { sensors, timing, limits, travel, no_load } = *config;
+        let CommissionConfig { sensors, timing, limits, voltage, travel, no_load } = *config;
         timing.check()?;
         limits.check()?;
         require(timing.delay, "timing.delay", "must be there for commissioning", 0.0)?;
+        require(voltage > 0.0, "voltage", "must be positive, or infinite", voltage)?;
         require(travel > 0.0, "travel", "must be positive, or infinite", travel)?;
         if let Some(NoLoad { speed, voltage }) = no_load {
             positive("no_load.speed", speed)?;
@@ -300,6 +320,7 @@ impl Commission {
             elapsed: 0,
             sensing,
             limits,
+            voltage,
             travel,
             no_load,
             period,
@@ -343,6 +364,7 @@ impl Commission {
             ramp: 0.0,
             armature: Fit::default(),
             shaft: Fit::default(),
+            closing: Closing::Not,
             fits: Fits::default(),
         })
     }
@@ -350,6 +372,23 @@ impl Commission {
     /// What is being done.
     pub fn phase(&self) -> Phase {
         self.phase
+    }
+
+    /// How far it is.
+    pub fn progress(&self) -> Progress {
+        let longest = match self.phase {
+            Phase::Rest => REST as f32 * self.period,
+            Phase::Pulses => {
+                return Progress { phase: Phase::Pulses, share: self.pulses.share() };
+            }
+            Phase::Launch => SETTLE + LAUNCH,
+            Phase::Trial => TRIAL,
+            Phase::Short => SHORT,
+            Phase::Long => self.long_time(),
+            Phase::Over => return Progress::OVER,
+        };
+        let share = self.elapsed as f32 * self.period / longest;
+        Progress { phase: self.phase, share: share.min(1.0) }
     }
 
     /// Turns outputs off for good. What was found until then stays.
@@ -371,7 +410,7 @@ impl Commission {
         if let Err(reason) = self.limits_hold(&measured) {
             return self.stop(reason);
         }
-        let highest = self.limits.duty * measured.bus_voltage;
+        let highest = (self.limits.duty * measured.bus_voltage).min(self.voltage);
         self.elapsed += 1;
         let wanted = match self.phase {
             Phase::Rest => self.rest(measured.bus_voltage),
@@ -390,7 +429,7 @@ impl Commission {
             Wanted::Voltage(voltage) => voltage,
             Wanted::Current(current) => self.control.step(self.current, current, highest),
         };
-        self.duty = (voltage / measured.bus_voltage).limited(self.limits.duty);
+        self.duty = (voltage.limited(highest) / measured.bus_voltage).limited(self.limits.duty);
         BridgeCommand::Duty(self.duty)
     }
 
@@ -435,6 +474,7 @@ impl Commission {
     }
 
     #[cold]
+    #[inline(never)]
     fn stop(&mut self, reason: Reason) -> BridgeCommand<f32> {
         if self.phase != Phase::Over {
             self.stopped = Some(reason);
@@ -443,6 +483,7 @@ impl Commission {
         BridgeCommand::Off
     }
 
+    #[inline(never)]
     fn enter(&mut self, phase: Phase) {
         self.phase = phase;
         self.elapsed = 0;
@@ -453,6 +494,7 @@ impl Commission {
         self.speeds = [0.0; 2];
         self.armature = Fit::default();
         self.shaft = Fit::default();
+        self.closing = Closing::Not;
     }
 
     /// Outputs off: what the sensors show of nothing.
@@ -641,8 +683,26 @@ impl Commission {
 
     fn swing(&mut self, period: &Period, highest: f32) -> Wanted {
         self.window.add(period, self.sign);
-        if self.window.periods >= self.window_periods {
-            self.end_window(highest);
+        match self.closing {
+            Closing::Not if self.window.periods < self.window_periods => {}
+            Closing::Not => self.end_window(highest),
+            Closing::Pulled => self.closing = Closing::Armature(self.armature.solve([0.0; 4])),
+            Closing::Armature(pulled) => {
+                let solved = self.solved(&pulled);
+                self.closing = Closing::Not;
+                match self.phase {
+                    Phase::Trial => self.end_trial(&solved, highest),
+                    Phase::Short => self.end_short(solved),
+                    _ => {
+                        self.fits.long = Some(solved);
+                        self.closing = Closing::Shaft;
+                    }
+                }
+            }
+            Closing::Shaft => {
+                self.fits.shaft = Some(self.shaft.solve([0.0; 4]));
+                self.phase = Phase::Over;
+            }
         }
         // Two windows at each level: one has the step in it, the other has not.
         let level = if self.windows & 2 == 0 { self.high } else { self.low };
@@ -669,34 +729,35 @@ impl Commission {
         self.before = core::mem::take(&mut self.window);
         self.windows += 1;
         self.all_windows += 1;
-        let blocked = self.fits.unseen == Some(Reason::Blocked);
         let is_far = self.sign * self.speed >= self.turn_speed
             || self.sign * self.control.voltage >= TURN_VOLTAGE * highest
             || 2.0 * self.sign * self.angle - self.back >= TURN_TRAVEL * self.travel
-            || (blocked && self.windows >= BLOCKED_WINDOWS);
+            || (self.is_blocked() && self.windows >= BLOCKED_WINDOWS);
         if is_far {
             self.turn();
         }
         let time = self.elapsed as f32 * self.period;
-        match self.phase {
-            Phase::Trial if time >= TRIAL => self.end_trial(highest),
-            Phase::Short if time >= SHORT => self.end_short(blocked),
+        let is_over = match self.phase {
+            Phase::Trial => time >= TRIAL,
+            Phase::Short => time >= SHORT,
             // At rest, or nearly.
-            Phase::Long if time >= LONG || (time >= self.long_time() && turned_back) => {
-                self.fits.long = Some(self.solved());
-                self.fits.shaft = Some(self.shaft.solve([0.0; 4]));
-                self.phase = Phase::Over;
-            }
-            _ => {}
+            _ => time >= LONG || (time >= self.long_time() && turned_back),
+        };
+        if is_over {
+            self.closing = Closing::Pulled;
         }
+    }
+
+    fn is_blocked(&self) -> bool {
+        self.fits.unseen == Some(Reason::Blocked)
     }
 
     fn long_time(&self) -> f32 {
         (RAMPS * self.ramp * self.period).clamp(LONG_LEAST, 0.95 * LONG)
     }
 
-    fn end_trial(&mut self, highest: f32) {
-        let fit::Solution { values, deviations } = self.solved();
+    fn end_trial(&mut self, solved: &Solution, highest: f32) {
+        let &Solution { values, deviations } = solved;
         let [resistance, lost, _, inductive] = values;
         if deviations[0] < 0.2 * resistance
             && deviations[3] < 0.2 * inductive
@@ -707,10 +768,9 @@ impl Commission {
         self.enter(Phase::Short);
     }
 
-    fn end_short(&mut self, blocked: bool) {
-        self.fits.short = Some(self.solved());
-
-        if blocked {
+    fn end_short(&mut self, solved: Solution) {
+        self.fits.short = Some(solved);
+        if self.is_blocked() {
             self.phase = Phase::Over;
             return;
         }
@@ -722,14 +782,13 @@ impl Commission {
 
     /// The armature. Noise in current and angle pulls their unknowns; how much, its variance tells at most: half of it is taken back, and
     /// the other half is uncertain.
-    fn solved(&self) -> fit::Solution {
+    fn solved(&self, pulled: &Solution) -> Solution {
         let per = 1.0 / self.window_periods;
         let speed = self.grain * self.rate * per;
         let current = self.noise * per;
         let noise = [0.0, 0.0, speed * speed / 6.0, 2.0 * current * current];
-        let pulled = self.armature.solve([0.0; 4]);
         let mut solution = self.armature.solve(noise);
-        for (unknown, pulled) in pulled.values.into_iter().enumerate() {
+        for (unknown, pulled) in pulled.values.iter().enumerate() {
             let pull = 0.5 * (solution.values[unknown] - pulled);
             solution.values[unknown] -= pull;
             solution.deviations[unknown] += 0.5 * pull.abs();
@@ -737,39 +796,36 @@ impl Commission {
         solution
     }
 
-    /// What was found until now.
-    pub fn findings(&self) -> Findings {
-        let not_seen = self.stopped.or(self.fits.unseen).unwrap_or(Reason::NotReached);
-        let values = self.fits.values(self.period, not_seen);
-        let [viscous_friction, coulomb_friction, load_torque] = values.torques;
-        Findings {
+    /// What was measured until now.
+    pub fn evidence(&self) -> Evidence {
+        Evidence {
             stopped: self.stopped,
             bus_voltage: self.bus_voltage,
             current_offset: self.offset,
             current_noise: self.noise,
             current_reversed: self.current_sign < 0.0,
-            encoder_reversed: self.fits.direction.map(|sign| sign < 0.0).ok_or(not_seen),
-            resistance: values.resistance,
-            inductance: values.inductance,
-            voltage_drop: values.voltage_drop,
-            back_emf_constant: values.back_emf_constant.and_then(|value| self.plausible(value)),
-            inertia: values.inertia,
-            viscous_friction,
-            coulomb_friction,
-            load_torque,
+            period: self.period,
+            no_load: self.no_load,
+            fits: self.fits,
         }
     }
 
-    /// Refuses a Kb that the nameplate contradicts.
-    fn plausible(&self, back_emf: Value) -> Result<Value, Reason> {
-        let Some(NoLoad { speed, voltage }) = self.no_load else { return Ok(back_emf) };
-        let ratio = back_emf.value * speed / voltage;
-        if (1.0 / NAMEPLATE..=NAMEPLATE).contains(&ratio) {
-            Ok(back_emf)
-        } else {
-            Err(Reason::NoLoadSpeed)
-        }
+    /// What was found until now.
+    pub fn findings(&self) -> Findings {
+        self.evidence().findings()
     }
+}
+
+/// What is to be solved next in a phase whose time is over: one solution a period, since two would not fit into one on a microcontroller.
+#[derive(Clone, Copy, Debug)]
+enum Closing {
+    /// Its time is not over.
+    Not,
+    /// The armature, noise left in.
+    Pulled,
+    /// The armature, with that.
+    Armature(Solution),
+    Shaft,
 }
 
 /// What the bridge is to do.

@@ -162,6 +162,11 @@ impl Pulses {
         if self.done < PULSES { Pulsed::Voltage(self.sign * self.magnitude) } else { Pulsed::Done }
     }
 
+    /// Share of them that is done.
+    pub(super) fn share(&self) -> f32 {
+        self.done as f32 / PULSES as f32
+    }
+
     fn enter(&mut self, stage: Stage) {
         let least = 0.5 * COUNTS_FROM * self.enough;
         let row = self.window.armature(least, self.sign, 1.0);

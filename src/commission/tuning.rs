@@ -48,7 +48,10 @@ impl Known {
         let encoder_reversed = findings.encoder_reversed?;
         let mut sensors = config.sensors;
         if let Sensors::Codes(calibration) = &mut sensors {
-            calibration.current_zero += findings.current_offset / calibration.current_per_code;
+            // Within the noise it is none: a board that learns its zero by itself wants it kept.
+            if findings.current_offset.abs() > findings.current_noise {
+                calibration.current_zero += findings.current_offset / calibration.current_per_code;
+            }
             if findings.current_reversed {
                 calibration.current_per_code = -calibration.current_per_code;
             }
@@ -76,7 +79,8 @@ impl Known {
     /// A drive with the drive form of BS-QSMDO within the limits that commissioning had.
     pub fn tuned(&self, config: &CommissionConfig) -> DriveConfig {
         let &Self { motor, voltage_drop, current_noise, bus_voltage, sensors } = self;
-        let CommissionConfig { timing, limits, .. } = *config;
+        let CommissionConfig { timing, mut limits, voltage, .. } = *config;
+        limits.duty = limits.duty.min(voltage / bus_voltage);
         let by_counts = match &sensors {
             Sensors::Exact => 0.1 * timing.rate,
             Sensors::Codes(calibration) => {

@@ -86,6 +86,7 @@ impl Window {
 
     /// The armature's row for R, V0, Kb and Λ, as means over the window. Nothing if the current was less than `least` at some
     /// time, where the voltage lost is not that of the sign.
+    #[inline(never)]
     pub(super) fn armature(
         &self,
         least: f32,

@@ -3,6 +3,7 @@
 //! Numbers are in SI units. New requests and answers go at the end of their lists, so that the others keep their codes; a change
 //! of what is there needs another [`VERSION`].
 
+use crate::commission::{Evidence, Nameplate, Progress};
 use crate::config::ConfigError;
 use crate::fault::{ActiveLimits, Faults};
 use crate::schema::{SetError, Value};
@@ -52,6 +53,13 @@ pub enum Request<'a> {
     ApplyParameters,
     /// Keep the parameters that are in force when the power is off. With outputs off only.
     SaveParameters,
+    /// Measure the motor, within the limits in force and those of the nameplate. In mode `Ready` only; it ends in the same.
+    /// [`Command::Off`] aborts it.
+    Commission(Nameplate),
+    /// How far is that? Answered by [`Answer::Progress`].
+    ReadProgress,
+    /// What was measured? Answered by [`Answer::Evidence`], once outputs are off.
+    ReadEvidence,
 }
 
 /// What a drive answers.
@@ -75,6 +83,10 @@ pub enum Answer<'a> {
         #[serde(borrow)]
         value: Value<'a>,
     },
+    /// How far commissioning is; over, where there is none.
+    Progress(Progress),
+    /// What commissioning measured.
+    Evidence(Evidence),
 }
 
 /// What a drive sends.
@@ -169,6 +181,8 @@ pub enum Refusal<'a> {
     Busy,
     /// The flash did not take the parameters. Those that were saved before are still there.
     NotSaved,
+    /// The motor was not measured since the drive started.
+    NotCommissioned,
 }
 
 impl From<ConfigError> for Refusal<'static> {
@@ -211,6 +225,9 @@ impl fmt::Display for Refusal<'_> {
             Self::NotSaved => f.write_str(
                 "the flash did not take the parameters; those saved before are still there",
             ),
+            Self::NotCommissioned => {
+                f.write_str("the motor was not measured since the drive started")
+            }
         }
     }
 }

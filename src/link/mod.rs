@@ -19,7 +19,7 @@
 //! understand what both know. What is to change is staged and then applied, all of it or none.
 //!
 //! `postcard-rpc` would give typed endpoints for this, but: its host brings an asynchronous runtime, and its frames on a serial port have
-//! no CRC. Eight requests are less than that.
+//! no CRC. Eleven requests are less than that.
 
 pub mod frame;
 pub mod message;

@@ -2,6 +2,7 @@
 
 use super::frame::{Decoder, LONGEST, encode};
 use super::message::{Answer, Identity, Message, Refusal, Request, Status, Telemetry};
+use crate::commission::{Evidence, Nameplate, Progress};
 use crate::control::ControlConfig;
 use crate::parameters::Parameters;
 use crate::schema::{self, Path, Value};
@@ -33,6 +34,15 @@ pub trait Device {
 
     /// Saves the parameters in force. Outputs are off.
     fn save_parameters(&mut self) -> Result<(), Refusal<'static>>;
+
+    /// Begins to measure the motor. The drive is ready.
+    fn commission(&mut self, nameplate: &Nameplate) -> Result<(), Refusal<'static>>;
+
+    /// How far that is; [`Progress::OVER`] where there is nothing of it.
+    fn progress(&self) -> Progress;
+
+    /// What was measured, if anything. Nothing is being measured.
+    fn evidence(&mut self) -> Option<Evidence>;
 
     /// Makes telemetry of one in so many periods; of none, for zero.
     fn set_telemetry(&mut self, decimation: u32);
@@ -134,6 +144,16 @@ fn answer<'n>(
         Request::SaveParameters => {
             check_off(device)?;
             device.save_parameters()?;
+        }
+        Request::Commission(nameplate) => match device.status().mode {
+            Mode::Ready => device.commission(&nameplate)?,
+            mode => return Err(Refusal::Mode(mode)),
+        },
+        Request::ReadProgress => return Ok(Answer::Progress(device.progress())),
+        Request::ReadEvidence => {
+            check_off(device)?;
+            let evidence = device.evidence().ok_or(Refusal::NotCommissioned)?;
+            return Ok(Answer::Evidence(evidence));
         }
     }
     Ok(Answer::Done)

@@ -76,13 +76,17 @@ pub const B_G431B_ESC1: Board = Board {
         "5drive14Drive$LT$S$GT$4stop",
         "5drive14Drive$LT$S$GT$6refuse",
         "5drive14Drive$LT$S$GT$8fault_in",
+        "5drive14Drive$LT$S$GT$16electrical_fault",
         // A new command.
         "10trajectory15SCurve$LT$S$GT$4plan",
         "9interrupt7Control6change",
         "9interrupt7Control11tell_period",
+        // Commissioning, which has the time: the drive's law does not run beside it.
+        "9interrupt7Control10commission",
+        "9interrupt8progress",
     ],
-    // The aims are 64 kB and 12 kB; docs/b-g431b-esc1.md has what takes more.
-    budget: Budget { flash: 62 * 1024, ram: 21 * 1024 },
+    // The aims are 64 kB and 12 kB, without commissioning, which takes 12 kB and 1.1 kB; docs/b-g431b-esc1.md has what takes more.
+    budget: Budget { flash: 73 * 1024, ram: 22 * 1024 },
 };
 
 pub const BOARDS: [Board; 4] = [QEMU, QEMU_M3, QEMU_M0, B_G431B_ESC1];

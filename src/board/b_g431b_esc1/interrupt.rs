@@ -1,7 +1,7 @@
 //! The control interrupt: once a PWM period, from the converters' end of sequence to the bridge's compare values.
 //!
 //! It has the highest priority, and its code is in CCM SRAM (`memory.x`). Its state is its own. Tasks reach it by slots of one value each:
-//! [`command`] and [`change`] go in, what became of it, [`status`] and [`telemetry`] come out. What does not fit waits or is dropped; a
+//! [`command`], [`commission`] and [`change`] go in, what became of it, [`status`] and [`telemetry`] come out. What does not fit waits or is dropped; a
 //! period never is.
 
 use super::analogue::{self, Conversions};
@@ -9,6 +9,7 @@ use super::bridge::{self, Bridge};
 use super::encoder::{Counts, Encoder};
 use crate::board::handed_over::HandedOver;
 use crate::board::slot::Slot;
+use crate::commission::{Commission, Evidence, Progress};
 use crate::config::ConfigError;
 use crate::drive::ReadyController;
 use crate::fault::{ActiveLimits, Fault, Faults};
@@ -29,6 +30,15 @@ pub struct Answer {
     pub result: Result<(), Refusal>,
     /// What the drive is doing since.
     pub status: Status,
+    /// How far commissioning is.
+    pub progress: Progress,
+}
+
+/// What the drive is told.
+enum Order {
+    Command(Command),
+    /// Measure the motor with what is in [`COMMISSION`].
+    Commission,
 }
 
 /// What takes the place of what there is.
@@ -43,9 +53,11 @@ pub enum Change {
 
 static CONTROL: HandedOver<Control> = HandedOver::new();
 
-static COMMAND: Slot<Command> = Slot::new();
+static ORDER: Slot<Order> = Slot::new();
 static ANSWER: Slot<Answer> = Slot::new();
 static CHANGE: Slot<Change> = Slot::new();
+/// What measures the motor: the interrupt's in mode `Commissioning`, tasks' in all others.
+static COMMISSION: Slot<Commission> = Slot::new();
 static STATUS: Slot<Status> = Slot::new();
 static TELEMETRY: Slot<Telemetry> = Slot::new();
 
@@ -57,9 +69,28 @@ static DECIMATION: AtomicU32 = AtomicU32::new(0);
 
 /// Gives the drive a command and waits for the answer, which takes a period. Nothing if none comes in four.
 pub fn command(command: Command) -> Option<Answer> {
+    give(Order::Command(command))
+}
+
+/// Measures the motor. The drive is ready. Nothing if there is no answer.
+pub fn commission(commission: Commission) -> Option<Answer> {
+    COMMISSION.discard();
+    if COMMISSION.put(commission) { give(Order::Commission) } else { None }
+}
+
+/// What was measured, if anything. Nothing is being measured.
+pub fn evidence() -> Option<Evidence> {
+    COMMISSION.lend(|commission| {
+        // Whatever ended it.
+        commission.abort();
+        commission.evidence()
+    })
+}
+
+fn give(order: Order) -> Option<Answer> {
     // One that came too late for its asker.
     ANSWER.take();
-    if !COMMAND.put(command) {
+    if !ORDER.put(order) {
         return None;
     }
     (0..64).find_map(|_| {
@@ -178,7 +209,12 @@ impl Control {
             overrun: self.is_late || !is_in_time,
         };
         let codes = Codes { current, bus_voltage, encoder: reads, shift };
-        let output = self.supervisor.step(&Sample::Codes(codes), &conditions);
+        let sample = Sample::Codes(codes);
+        let output = if self.supervisor.mode() == Mode::Commissioning {
+            self.commission(&sample, &conditions)
+        } else {
+            self.supervisor.step(&sample, &conditions)
+        };
         self.bridge.apply(output);
         // The update that these compare values were for has passed.
         self.is_late = bridge::take_update();
@@ -192,20 +228,41 @@ impl Control {
     /// Takes what tasks have for the drive.
     #[inline]
     fn listen(&mut self) {
-        if let Some(command) = COMMAND.take() {
-            let result = self.supervisor.command(command);
-            // There is room: who gave the command has emptied it.
-            ANSWER.put(Answer { result, status: status_of(&self.supervisor) });
+        if let Some(order) = ORDER.take() {
+            let result = match order {
+                Order::Command(command) => self.supervisor.command(command),
+                Order::Commission => self.supervisor.start_commissioning(),
+            };
+            let progress = match self.supervisor.mode() {
+                Mode::Commissioning => progress(),
+                _ => Progress::OVER,
+            };
+            // There is room: who gave the order has emptied it.
+            ANSWER.put(Answer { result, status: status_of(&self.supervisor), progress });
         }
         if CHANGE.is_full() {
             self.change();
         }
     }
 
+    /// A period of commissioning, out of slower memory: it has the time.
+    #[cold]
+    #[inline(never)]
+    fn commission(&mut self, sample: &Sample<f32>, conditions: &Conditions) -> Output<f32> {
+        let supervisor = &mut self.supervisor;
+        let step =
+            |commission: &mut _| supervisor.step_commissioning(sample, conditions, commission);
+        // Without what measures outputs stay off.
+        match COMMISSION.lend(step) {
+            Some(output) => output,
+            None => self.supervisor.step(sample, conditions),
+        }
+    }
+
     #[cold]
     #[inline(never)]
     fn change(&mut self) {
-        CHANGE.use_up(|change| match change {
+        CHANGE.lend(|change| match change {
             Change::Controller(controller) => self.supervisor.change_controller(controller),
             Change::Supervisor(supervisor) if self.supervisor.output() == Output::Off => {
                 supervisor.succeed(&self.supervisor);
@@ -214,6 +271,7 @@ impl Control {
             // Armed in the meantime: the parameters in force stay.
             Change::Supervisor(_) => {}
         });
+        CHANGE.discard();
     }
 
     /// Tells tasks what there is to tell.
@@ -237,6 +295,10 @@ impl Control {
         let drive = self.supervisor.drive();
         let [current, bus_voltage] = drive.current_and_bus();
         let [reference, voltage, load_torque] = match (drive.telemetry(), output) {
+            // The drive does not drive.
+            (_, Output::Duty(duty)) if self.supervisor.mode() == Mode::Commissioning => {
+                [0.0, duty * bus_voltage, 0.0]
+            }
             (Some(law), Output::Duty(_)) => [law.reference.speed, law.voltage, law.load_torque],
             _ => [0.0; 3],
         };
@@ -256,6 +318,13 @@ impl Control {
             longest_interrupt_time,
         });
     }
+}
+
+/// How far commissioning is.
+#[cold]
+#[inline(never)]
+fn progress() -> Progress {
+    COMMISSION.lend(|commission| commission.progress()).unwrap_or(Progress::OVER)
 }
 
 fn status_of(supervisor: &Supervisor<f32>) -> Status {

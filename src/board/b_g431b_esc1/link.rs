@@ -6,6 +6,7 @@
 use super::interrupt::Change;
 use super::parameter_flash::{ParameterFlash, REGION};
 use super::{build, defaults, interrupt};
+use crate::commission::{Commission, Evidence, Nameplate, Progress};
 use crate::control::ControlConfig;
 use crate::drive::{DriveConfig, ReadyController};
 use crate::fault::{Fault, Faults};
@@ -43,6 +44,7 @@ pub struct Port {
 /// The drive, for whoever is at the other end.
 pub struct Link {
     status: Status,
+    progress: Progress,
     parameters: Parameters,
     store: Option<ParameterStore<ParameterFlash>>,
 }
@@ -65,7 +67,7 @@ impl Link {
             _ => (defaults, Some(Fault::BadParameters)),
         };
         let status = Status { mode: Mode::Boot, faults: Faults::NONE, limits: Default::default() };
-        (Self { status, parameters, store }, fault)
+        (Self { status, progress: Progress::OVER, parameters, store }, fault)
     }
 
     /// For when the control interrupt does not run.
@@ -116,6 +118,16 @@ async fn send(tx: &mut BufferedUartTx<'_>, mut frame: &[u8]) {
     }
 }
 
+impl Link {
+    /// Keeps what an answer tells of the drive.
+    fn heed(&mut self, answer: Option<interrupt::Answer>) -> Result<(), Refusal<'static>> {
+        let interrupt::Answer { result, status, progress } = answer.ok_or(Refusal::Busy)?;
+        self.status = status;
+        self.progress = progress;
+        Ok(result?)
+    }
+}
+
 fn change(change: Change) -> Result<(), Refusal<'static>> {
     if interrupt::change(change) { Ok(()) } else { Err(Refusal::Busy) }
 }
@@ -140,9 +152,7 @@ impl Device for Link {
     }
 
     fn command(&mut self, command: Command) -> Result<(), Refusal<'static>> {
-        let answer = interrupt::command(command).ok_or(Refusal::Busy)?;
-        self.status = answer.status;
-        Ok(answer.result?)
+        self.heed(interrupt::command(command))
     }
 
     fn change_controller(&mut self, control: &ControlConfig) -> Result<(), Refusal<'static>> {
@@ -161,6 +171,20 @@ impl Device for Link {
     fn save_parameters(&mut self) -> Result<(), Refusal<'static>> {
         let saved = self.store.as_mut().map(|store| store.save(&self.parameters));
         if matches!(saved, Some(Ok(()))) { Ok(()) } else { Err(Refusal::NotSaved) }
+    }
+
+    fn commission(&mut self, nameplate: &Nameplate) -> Result<(), Refusal<'static>> {
+        let commission = Commission::new(&nameplate.config(&self.parameters.drive)?)?;
+        self.heed(interrupt::commission(commission))
+    }
+
+    /// As of the last command.
+    fn progress(&self) -> Progress {
+        self.progress
+    }
+
+    fn evidence(&mut self) -> Option<Evidence> {
+        interrupt::evidence()
     }
 
     fn set_telemetry(&mut self, decimation: u32) {
