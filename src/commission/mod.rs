@@ -2,7 +2,11 @@
 //! for it.
 //!
 //! [`Commission`] is given each period's sample and gives the bridge's command in place of a [`Drive`](crate::drive::Drive). It goes
-//! through the [phases](Phase) below, each of which ends after a bounded time.
+//! through the [phases](Phase) below, each of which ends after a bounded time if the bus is steady.
+//!
+//! Its limits are as good as the sensors: a current sensor or an encoder that dies while it measures is not noticed, and a reviewer's simulations then
+//! found several times the limit. An encoder that is missing from the start is noticed. Until this is mended, commission on a supply whose
+//! own current limit is safe, and stay near the switch.
 //!
 //! | phase | the bridge | shows |
 //! |---|---|---|
@@ -61,7 +65,7 @@ pub struct CommissionConfig {
     pub sensors: Sensors,
     /// Sampling rate; a voltage must act a period late.
     pub timing: Timing,
-    /// Limits that hold at every instant: `duty`, `speed`, `bus_min`, `bus_max`, and `current_command` for the current. (The trip
+    /// Limits that hold at every instant while the sensors work: `duty`, `speed`, `bus_min`, `bus_max`, and `current_command` for the current. (The trip
     /// `current` is the drive's.)
     pub limits: Limits,
     /// Highest voltage that the motor may get (V). Positive; infinite for what the duty's limit leaves of the bus.
@@ -419,6 +423,11 @@ impl Commission {
             Phase::Trial | Phase::Short | Phase::Long => self.swing(&period, highest),
             Phase::Over => Wanted::Off,
         };
+        // What ended it may have wanted something yet.
+        if self.phase == Phase::Over {
+            self.duty = 0.0;
+            return BridgeCommand::Off;
+        }
         // What was asked for before begins to act now.
         self.acting = self.duty * measured.bus_voltage;
         let voltage = match wanted {
