@@ -1,7 +1,7 @@
 //! `connect … commission`: has a drive measure its motor, tunes it from what was found, and verifies that.
 //!
-//! The drive measures ([`quasidrive::commission`]); what is made of it is computed here and goes to the drive as parameters do. [`verify`]
-//! plays a step of the speed and holds the response against the expected one; [`show`] is the report.
+//! The drive measures ([`quasidrive::commission`]); what is made of it is computed here and goes to the drive as parameters do. `verify`
+//! plays a step of the speed and holds the response against the expected one; `show` is the report.
 
 mod show;
 mod verify;

@@ -52,8 +52,8 @@ impl Verification {
             ("the speed stayed off its reference by", self.steady / self.step, STEADY),
             ("the current was off the expected one by", self.current_error / self.current, CURRENT),
         ];
-        // Not the other way round: a NaN passes nothing.
-        let failed = failures.into_iter().find(|(_, share, limit)| !(share.abs() <= *limit));
+        let failed =
+            failures.into_iter().find(|(_, share, limit)| share.is_nan() || share.abs() > *limit);
         failed.map(|(what, share, limit)| {
             format!("{what} {:.1} % of the step's (limit {:.0} %)", 100.0 * share, 100.0 * limit)
         })
