@@ -255,6 +255,11 @@ impl Pair {
         }
     }
 
+    fn change_sys(&mut self, change: impl Fn(&mut Sys)) {
+        change(&mut self.cpu.sys);
+        self.reference.with_sys(change);
+    }
+
     /// Sets the state of both to that of a core just reset but for what is given.
     fn set(&mut self, regs: Regs, floats: [u32; 32], fpscr: u32, active: &[Exception]) {
         self.reference = reference(&self.space);
@@ -468,6 +473,15 @@ fn single_instructions_do_the_same() {
         let active: &[_] = if exception.0 == 0 { &[] } else { &[exception] };
         let fpscr = if random.one_in(4) { random.next() } else { random.next() & 0xf000_009f };
         pair.set(regs, [0; 32].map(|_: u32| random.float()), fpscr, active);
+        if random.one_in(8) {
+            // Memory protection, with a region of any rights (8 kB) in one of all (64 kB).
+            let rights = random.below(8) << 24;
+            pair.change_sys(|sys| {
+                (sys.mpu_ctrl, sys.mpu_rbar[1]) = (0b101, SRAM + 0x2000);
+                (sys.mpu_rbar[0], sys.mpu_rasr[0]) = (SRAM, 0b011 << 24 | 15 << 1 | 1);
+                sys.mpu_rasr[1] = rights | 12 << 1 | 1;
+            });
+        }
         pair.put(PC, &halves);
         pair.step(&mut Hashes, 0);
         if round % 500 == 0 {
@@ -544,15 +558,13 @@ fn exceptions_return_the_same() {
         pair.set(regs, [0; 32].map(|_: u32| random.float()), random.next(), active);
         let (is_lazy, is_pending) = (random.one_in(2), random.one_in(4));
         let next = random.pick(&EXCEPTIONS);
-        let change = |sys: &mut Sys| {
+        pair.change_sys(|sys| {
             sys.fpccr |= u32::from(is_lazy);
             sys.set_enable(next, true);
             if is_pending && !sys.is_active(next) {
                 sys.set_pending(next, true);
             }
-        };
-        change(&mut pair.cpu.sys);
-        pair.reference.with_sys(change);
+        });
         pair.step(&mut Hashes, 0);
         if round % 100 == 0 {
             pair.assert_same_memory(&format!("round {round}"));
