@@ -403,10 +403,22 @@ impl<S: Scalar> Supervisor<S> {
                 self.mean_square = self.mean_square + square;
                 Output::Duty(duty)
             }
-            (Mode::Armed, _) => Output::Charge,
+            (Mode::Armed, _) => self.charge(),
             _ => Output::Off,
         };
         self.output
+    }
+
+    /// The drive does not look at its sample yet.
+    #[cold]
+    fn charge(&mut self) -> Output<S> {
+        match self.drive.electrical_fault() {
+            Some(fault) => {
+                self.latch(fault);
+                Output::Off
+            }
+            None => Output::Charge,
+        }
     }
 
     /// The checks that need not be made in every period.

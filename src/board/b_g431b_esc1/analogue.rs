@@ -70,7 +70,14 @@ pub struct Conversions {
     pub temperature: u16,
 }
 
-/// Starts amplifiers and converters; the latter wait for their trigger. Tells whether all came up.
+/// Gives the converters their clock: 42.5 MHz from the timers', so that a trigger's latency is always the same.
+pub fn enable_clock() {
+    rcc::enable_and_reset::<peripherals::ADC1>();
+    ADC12_COMMON.ccr().modify(|w| w.set_ckmode(Ckmode::SYNC_DIV4));
+}
+
+/// Starts amplifiers and converters, which have their [clock](enable_clock); the latter wait for their trigger. Tells whether all came
+/// up.
 pub fn start(
     _converters: (Peri<'static, peripherals::ADC1>, Peri<'static, peripherals::ADC2>),
 ) -> bool {
@@ -87,9 +94,6 @@ pub fn start(
             w.set_opampen(true);
         });
     }
-    rcc::enable_and_reset::<peripherals::ADC1>();
-    // 42.5 MHz from the timers' clock, so that a trigger's latency is always the same.
-    ADC12_COMMON.ccr().modify(|w| w.set_ckmode(Ckmode::SYNC_DIV4));
     // 0.29 µs for an amplifier, 2.2 µs for the bus voltage's 16 kΩ, 1.1 µs for the thermistor's 3 kΩ.
     ADC1.smpr().write(|w| {
         w.set_smp(U_CHANNEL.into(), SampleTime::CYCLES12_5);
@@ -98,9 +102,10 @@ pub fn start(
     });
     ADC2.smpr().write(|w| w.set_smp(V_CHANNEL.into(), SampleTime::CYCLES12_5));
     let are_up = power_up(ADC1) && power_up(ADC2);
+    // Before it waits for triggers: RM0440, 21.4.10.
+    ADC1.ier().write(|w| w.set_jeosie(true));
     sequence(ADC1, &[U_CHANNEL, BUS_CHANNEL, TEMPERATURE_CHANNEL]);
     sequence(ADC2, &[V_CHANNEL]);
-    ADC1.ier().write(|w| w.set_jeosie(true));
     are_up
 }
 

@@ -25,7 +25,7 @@
 //! - **Before the motor is driven** the bootstrap capacitors are empty: [`Output::Charge`] turns on only the low sides, for a
 //!   twentieth of the period around the peak, where nobody samples.
 
-use super::pins;
+use super::{pins, safety};
 use crate::modulation;
 use crate::supervisor::Output;
 use embassy_stm32::Peri;
@@ -91,6 +91,11 @@ pub fn off() {
     TIM1.bdtr().modify(|w| w.set_moe(false));
 }
 
+/// Whether the main output enable is set.
+pub fn is_enabled() -> bool {
+    TIM1.bdtr().read().moe()
+}
+
 impl Bridge {
     /// Starts TIM1 with its outputs off. Nothing if it does not count as it should.
     pub fn start(_timer: Peri<'static, peripherals::TIM1>) -> Option<Self> {
@@ -117,7 +122,7 @@ impl Bridge {
             w.set_lock(Lock::LEVEL2);
         });
         lock_system_breaks();
-        // In a debugger's halt the counter stops, and the outputs are off.
+        // In a debugger's halt the counter stops, and the outputs are off; see `was_halted` for what comes then.
         DBGMCU.apb2fzr().modify(|w| w.set_tim1(true));
 
         TIM1.cr1().write(|w| {
@@ -150,13 +155,19 @@ impl Bridge {
     /// Whether the hardware has ended the outputs although they were to be on.
     #[inline]
     pub fn has_tripped(&self) -> bool {
-        self.is_on && !TIM1.bdtr().read().moe()
+        self.is_on && !is_enabled()
     }
 
     /// Whether outputs are to be on.
     #[inline]
     pub fn is_on(&self) -> bool {
         self.is_on
+    }
+
+    /// Whether a debugger has halted the core since outputs went on: they were off meanwhile, and the motor did not wait.
+    #[inline]
+    pub fn was_halted(&self) -> bool {
+        self.is_on && safety::was_halted()
     }
 
     /// Takes a command; it acts from the next trough on. Off acts at once.
@@ -180,6 +191,7 @@ impl Bridge {
             self.enabled = enabled;
         } else if !self.is_on {
             self.is_on = true;
+            safety::forget_halts();
             TIM1.sr().write(|w| {
                 w.0 = !0;
                 w.set_bif(0, false);

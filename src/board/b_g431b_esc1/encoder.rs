@@ -13,7 +13,7 @@ use core::cell::UnsafeCell;
 use core::sync::atomic::{AtomicU16, Ordering, compiler_fence};
 use embassy_stm32::pac::bdma::vals::{Dir, Pl, Size};
 use embassy_stm32::pac::timer::vals::{CcmrInputCcs, FilterValue, Ocm, Sms, Ts, Urs};
-use embassy_stm32::pac::{DMA1, DMAMUX1, TIM3, TIM4};
+use embassy_stm32::pac::{DBGMCU, DMA1, DMAMUX1, TIM3, TIM4};
 use embassy_stm32::{Peri, peripherals, rcc};
 
 /// Ticks from one read to the next.
@@ -38,6 +38,9 @@ struct Halves([UnsafeCell<[u16; READS]>; 2]);
 
 // SAFETY: DMA writes it, and only the control interrupt reads it.
 unsafe impl Sync for Halves {}
+
+/// Reads of the next period that may have been made when those of the last one are looked at: half of them. One or two, usually.
+const MOST_BEGUN: usize = READS / 2;
 
 /// Compare value of the period after the one that has begun.
 static NEXT_COMPARE: AtomicU16 = AtomicU16::new(LATEST);
@@ -65,7 +68,7 @@ pub struct Counts {
     pub reads: [u16; READS],
     /// How much earlier they were made, as [`Codes::shift`](crate::hal::Codes::shift) has it.
     pub shift: u8,
-    /// Whether they are of the period just ended, next to those before.
+    /// Whether they are of the period just ended, next to those before, and DMA has gone on from there by a few reads at most.
     pub is_in_time: bool,
 }
 
@@ -74,10 +77,19 @@ fn compare(shift: u8) -> u16 {
     LATEST - ((u32::from(shift) * u32::from(DISTANCE)) >> 8) as u16
 }
 
+/// Gives both timers their clocks. In a debugger's halt they stand still with the bridge's timer, so that reads stay where they belong.
+pub fn enable_clocks() {
+    rcc::enable_and_reset::<peripherals::TIM3>();
+    rcc::enable_and_reset::<peripherals::TIM4>();
+    DBGMCU.apb1lfzr().modify(|w| {
+        w.set_tim3(true);
+        w.set_tim4(true);
+    });
+}
+
 impl Encoder {
-    /// Starts counting, and reading at the next trough.
+    /// Starts counting, and reading at the next trough. Both timers have their [clocks](enable_clocks).
     pub fn start(_owned: Owned) -> Self {
-        rcc::enable_and_reset::<peripherals::TIM4>();
         // Both inputs, filtered over 0.19 µs, count up and down on all edges.
         TIM4.ccmr_input(0).write(|w| {
             for input in [0, 1] {
@@ -114,7 +126,6 @@ impl Encoder {
         let next = NEXT_COMPARE.as_ptr() as u32;
         channel(SHIFT_CHANNEL, TIM1_CH4, to_timer, next, 1, Dir::FROM_MEMORY, false);
 
-        rcc::enable_and_reset::<peripherals::TIM3>();
         TIM3.arr().write(|w| w.set_arr(DISTANCE - 1));
         TIM3.ccmr_output(0).write(|w| {
             w.set_ocm(0, Ocm::FROZEN);
@@ -137,13 +148,14 @@ impl Encoder {
     #[inline]
     pub fn read(&mut self) -> Counts {
         // What DMA still has to fill: more than a half while it is in the first.
-        let is_first_being_filled = usize::from(DMA1.ch(READ_CHANNEL).ndtr().read().ndt()) > READS;
-        let complete = usize::from(is_first_being_filled);
+        let left = usize::from(DMA1.ch(READ_CHANNEL).ndtr().read().ndt());
+        let complete = usize::from(left > READS);
+        let begun = left.wrapping_neg() % READS;
         // What is read below is as DMA left it.
         compiler_fence(Ordering::Acquire);
         // SAFETY: DMA has left this half, and comes back to it in a period.
         let reads = unsafe { COUNTS.0[complete].get().read() };
-        let is_in_time = self.last != Some(complete);
+        let is_in_time = self.last != Some(complete) && begun <= MOST_BEGUN;
         self.last = Some(complete);
 
         // Numerical Recipes' linear congruential generator: its high bits are random enough for this.

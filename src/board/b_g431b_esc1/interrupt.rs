@@ -10,7 +10,6 @@ use super::encoder::{Counts, Encoder};
 use crate::board::handed_over::HandedOver;
 use crate::board::slot::Slot;
 use crate::commission::{Commission, Evidence, Progress};
-use crate::config::ConfigError;
 use crate::drive::ReadyController;
 use crate::fault::{ActiveLimits, Fault, Faults};
 use crate::hal::{Codes, Sample};
@@ -93,10 +92,13 @@ fn give(order: Order) -> Option<Answer> {
     if !ORDER.put(order) {
         return None;
     }
-    (0..64).find_map(|_| {
+    let answer = (0..64).find_map(|_| {
         cortex_m::asm::delay(bridge::PERIOD / 16);
         ANSWER.take()
-    })
+    });
+    // One that was not taken in time must not be taken later.
+    ORDER.discard();
+    answer
 }
 
 /// Changes controller or supervisor from the next period on. Tells whether there was room: not before the last
@@ -144,15 +146,18 @@ struct Control {
     is_late: bool,
     /// Of the board, as last looked at (°C).
     temperature: f32,
+    /// When the last period began (clock cycles).
+    started: u32,
 }
 
-/// Hands everything to the interrupt and enables it, with faults that there have been.
+/// Hands everything to the interrupt and enables it, with faults that there have been. Tells whether it runs.
 pub(super) fn start(
     parameters: &Parameters,
     faults: [Option<Fault>; 2],
     bridge: Bridge,
     encoder: Encoder,
-) -> Result<(), ConfigError> {
+) -> bool {
+    let Ok(supervisor) = super::build(parameters) else { return false };
     let control = Control {
         bridge,
         encoder,
@@ -162,8 +167,8 @@ pub(super) fn start(
         since_telemetry: 0,
         is_late: false,
         temperature: f32::NAN,
-        // Last, and so straight to its place: it is large.
-        supervisor: super::build(parameters)?,
+        started: 0,
+        supervisor,
     };
     // SAFETY: the interrupt is still masked.
     let control = unsafe { CONTROL.hand_over(control) };
@@ -174,7 +179,7 @@ pub(super) fn start(
     NVIC::unpend(interrupt::ADC1_2);
     // SAFETY: all that the handler uses is in place.
     unsafe { interrupt::ADC1_2.enable() };
-    Ok(())
+    super::wait_for(|| periods() > 0)
 }
 
 #[interrupt]
@@ -194,6 +199,8 @@ impl Control {
         bridge::take_update();
         let Conversions { legs, bus_voltage, temperature } = analogue::read();
         let Counts { reads, shift, is_in_time } = self.encoder.read();
+        let is_next = start.wrapping_sub(self.started) < bridge::PERIOD + bridge::PERIOD / 2;
+        self.started = start;
         self.listen();
         let current = self.shunts.read(legs, self.bridge.is_on());
         let period = PERIODS.load(Ordering::Relaxed).wrapping_add(1);
@@ -206,7 +213,7 @@ impl Control {
             temperature: self.temperature,
             current_sensors: self.shunts.state(),
             tripped: self.bridge.has_tripped(),
-            overrun: self.is_late || !is_in_time,
+            overrun: self.is_late || !is_in_time || !is_next || self.bridge.was_halted(),
         };
         let codes = Codes { current, bus_voltage, encoder: reads, shift };
         let sample = Sample::Codes(codes);

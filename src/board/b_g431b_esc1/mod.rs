@@ -74,10 +74,15 @@ pub fn start() -> Board {
     boost();
     pins::start_unused_leg();
     safety::watch_clock();
+    safety::guard_stack();
+    safety::order_writes();
     let watchdog_reset = safety::take_watchdog_reset().then_some(Fault::WatchdogReset);
     safety::start_watchdog(p.IWDG);
     start_cycle_counter();
     over_current::start(p.DAC3, p.COMP1);
+    // Before the bridge's timer sends its triggers: who receives them must have a clock (RM0440, 29.3.30).
+    analogue::enable_clock();
+    encoder::enable_clocks();
     let bridge = Bridge::start(p.TIM1);
     let is_converting = analogue::start((p.ADC1, p.ADC2));
     let encoder = Encoder::start((p.TIM3, p.TIM4, p.DMA1_CH1, p.DMA1_CH2));
@@ -87,9 +92,8 @@ pub fn start() -> Board {
     let (mut link, bad_parameters) = Link::load(p.FLASH);
     let faults = [watchdog_reset, bad_parameters];
     let is_running = is_converting
-        && bridge.is_some_and(|bridge| {
-            interrupt::start(link.parameters(), faults, bridge, encoder).is_ok()
-        });
+        && bridge
+            .is_some_and(|bridge| interrupt::start(link.parameters(), faults, bridge, encoder));
     if !is_running {
         link.is_dead(Fault::SelfTest);
     }
@@ -164,14 +168,21 @@ fn wait_for(mut is_done: impl FnMut() -> bool) -> bool {
     })
 }
 
-// Moves the control interrupt's code to CCM SRAM, before anything is called that might be in it. In assembly, since no Rust may run
-// before memory is initialised. The linker script gives the three addresses, aligned to 8.
+// Reads each SRAM once, before anything is written: a reset at a bad instant can make the first access to one a read, whatever it is (errata
+// ES0431, 2.2.7). Then moves the control interrupt's code to CCM SRAM, before anything is called that might be in it. In assembly, since no
+// Rust may run before memory is initialised. The linker script gives the three addresses, aligned to 8.
 core::arch::global_asm!(
     ".section .text.__pre_init, \"ax\"",
     ".global __pre_init",
     ".type __pre_init, %function",
     ".thumb_func",
     "__pre_init:",
+    "ldr r0, =0x10000000",
+    "ldr r0, [r0]",
+    "ldr r0, =0x20000000",
+    "ldr r0, [r0]",
+    "ldr r0, =0x20004000",
+    "ldr r0, [r0]",
     "ldr r0, =__control_start",
     "ldr r1, =__control_end",
     "ldr r2, =__control_load",

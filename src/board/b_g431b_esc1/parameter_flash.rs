@@ -1,12 +1,12 @@
 //! The flash pages that hold parameters (`PARAMETERS` in `memory.x`).
 //!
-//! The microcontroller runs from the flash that it erases, and so stands still for about 22 ms a page: only with outputs off. The
-//! watchdog is fed before each page.
+//! The microcontroller runs from the flash that it erases, and so stands still for about 22 ms a page: only with outputs off, or it is an
+//! error. The watchdog is fed before each page.
 //!
 //! A power failure while a double word is written can leave it with an error that its error-correcting code cannot mend: to read it
 //! is a non-maskable interrupt (RM0440, *Error code correction*). While parameters are read, that is bad data and no more.
 
-use super::safety;
+use super::{bridge, safety};
 use core::ops::Range;
 use core::sync::atomic::{AtomicBool, Ordering};
 use embassy_stm32::flash::{Blocking, Error, Flash};
@@ -36,6 +36,9 @@ impl ReadNorFlash for ParameterFlash {
     fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Error> {
         IS_READING.store(true, Ordering::SeqCst);
         let read = self.0.read(offset, bytes);
+        // An exception that it was to raise comes before it is over.
+        cortex_m::asm::dsb();
+        cortex_m::asm::isb();
         IS_READING.store(false, Ordering::SeqCst);
         read
     }
@@ -51,13 +54,22 @@ impl NorFlash for ParameterFlash {
 
     fn erase(&mut self, from: u32, to: u32) -> Result<(), Error> {
         (from..to).step_by(Self::ERASE_SIZE).try_for_each(|page| {
-            safety::feed_watchdog();
+            prepare()?;
             self.0.erase(page, page + Self::ERASE_SIZE as u32)
         })
     }
 
     fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Error> {
-        safety::feed_watchdog();
+        prepare()?;
         self.0.write(offset, bytes)
     }
+}
+
+/// Refuses to go on with outputs enabled; else there is time for a page.
+fn prepare() -> Result<(), Error> {
+    if bridge::is_enabled() {
+        return Err(Error::Protected);
+    }
+    safety::feed_watchdog();
+    Ok(())
 }

@@ -6,7 +6,7 @@
 
 use super::{bridge, parameter_flash};
 use core::panic::PanicInfo;
-use cortex_m::peripheral::DCB;
+use cortex_m::peripheral::{DCB, ICB, MPU, SCB};
 use cortex_m_rt::{ExceptionFrame, exception};
 use embassy_stm32::pac::iwdg::vals::Key;
 use embassy_stm32::pac::{DBGMCU, FLASH, IWDG, RCC};
@@ -37,6 +37,47 @@ pub(super) fn take_watchdog_reset() -> bool {
 /// Ends the outputs if the clock fails: it goes to TIM1's break, and to the exception below.
 pub(super) fn watch_clock() {
     RCC.cr().modify(|w| w.set_csson(true));
+}
+
+/// A stack that overflows must not go on below the SRAM, where the flash's own registers and memories answer: no access to the 32 kB there.
+/// It is a hard fault, whose own frame has no room either: the core locks up, which is wired to TIM1's break.
+pub(super) fn guard_stack() {
+    const BELOW_SRAM: u32 = 0x1FFF_8000;
+    // A region of 2^(14 + 1) bytes without access, and not to be executed (Armv7-M, B3.5).
+    const NOBODY: u32 = 1 << 28 | 14 << 1 | 1;
+    // SAFETY: nobody else uses it, and what has no region is as without it.
+    unsafe {
+        let mpu = &*MPU::PTR;
+        mpu.rnr.write(0);
+        mpu.rbar.write(BELOW_SRAM);
+        mpu.rasr.write(NOBODY);
+        // On, with the usual map for the rest.
+        mpu.ctrl.write(1 << 2 | 1);
+    }
+    cortex_m::asm::dsb();
+    cortex_m::asm::isb();
+}
+
+/// Stores wait for each other: else one at the end of an interrupt's handler can make the core take the wrong vector for the next (Arm's erratum
+/// 838869 of the Cortex-M4).
+pub(super) fn order_writes() {
+    const NO_WRITE_BUFFER: u32 = 1 << 1;
+    // SAFETY: nobody else uses it.
+    unsafe { (*ICB::PTR).actlr.modify(|value| value | NO_WRITE_BUFFER) };
+}
+
+/// Whether a debugger has halted the core since [`forget_halts`] (DFSR).
+#[inline]
+pub(super) fn was_halted() -> bool {
+    // SAFETY: reading it changes nothing.
+    unsafe { (*SCB::PTR).dfsr.read() != 0 }
+}
+
+/// See [`was_halted`].
+#[inline]
+pub(super) fn forget_halts() {
+    // SAFETY: nobody else uses it.
+    unsafe { (*SCB::PTR).dfsr.write(!0) };
 }
 
 fn wait_for_watchdog() -> ! {
@@ -76,6 +117,8 @@ unsafe fn DefaultHandler(number: i16) -> ! {
 /// What panicked is not told: the texts and places of all panics would be a tenth of the image. A debugger halts here and shows the way.
 #[panic_handler]
 fn panic(_: &PanicInfo) -> ! {
+    // First: the control interrupt could enable outputs.
+    cortex_m::interrupt::disable();
     bridge::off();
     defmt::error!("panic");
     if DCB::is_debugger_attached() {

@@ -36,7 +36,7 @@ impl Dbgmcu {
     pub fn write(&mut self, offset: u32, value: u32) -> Access<()> {
         match offset {
             CR => store(&mut self.cr, value, 0x7),
-            APB1FZR1 => store(&mut self.apb1fzr1, value, 0x1000),
+            APB1FZR1 => store(&mut self.apb1fzr1, value, 0x1006),
             APB2FZR => store(&mut self.apb2fzr, value, 0x800),
             _ => Err(Unmodelled),
         }
