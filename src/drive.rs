@@ -283,8 +283,8 @@ impl<S: Scalar> Drive<S> {
     }
 
     /// One PWM period: from this period's sample to the bridge's command.
-    // Not inlined, for its instructions to be counted apart from its caller's.
-    #[inline(never)]
+    // Not inlined where its instructions are counted apart from its caller's.
+    #[cfg_attr(feature = "qemu", inline(never))]
     pub fn step(&mut self, sample: &Sample<S>) -> BridgeCommand<S> {
         let Some(mut measured) = self.sensing.read(sample) else {
             return self.refuse(Fault::BadSample);

@@ -17,7 +17,8 @@
 #[inline]
 pub fn legs(duty: f32, highest: f32) -> [f32; 2] {
     let half = 0.5 * duty;
-    let common = (highest - half.abs()).min(0.5);
+    let left = highest - half.abs();
+    let common = if left < 0.5 { left } else { 0.5 };
     [common + half, common - half]
 }
 

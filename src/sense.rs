@@ -310,7 +310,7 @@ impl<S: Scalar> Sensing<S> {
     }
 
     /// A sample in SI units; nothing for one of the other kind. The advance of the first sample means nothing.
-    #[inline]
+    #[inline(always)]
     pub fn read(&mut self, sample: &Sample<S>) -> Option<Measured<S>> {
         match (sample, &mut self.encoder) {
             (Sample::Codes(codes), Some(encoder)) => {
@@ -337,6 +337,16 @@ impl<S: Scalar> Sensing<S> {
     }
 }
 
+/// Of reads, modulo 2¹⁶. Written out: where code is made small no loop is unrolled.
+#[inline]
+fn sum(reads: &[u16; READS]) -> u16 {
+    let four = |first: usize| {
+        let pair = reads[first].wrapping_add(reads[first + 1]);
+        pair.wrapping_add(reads[first + 2]).wrapping_add(reads[first + 3])
+    };
+    four(0).wrapping_add(four(4)).wrapping_add(four(8)).wrapping_add(four(12))
+}
+
 impl<S: Scalar> Encoder<S> {
     /// No angle is kept: from one sample to the next the last read moves by less than 2¹⁵ counts, whatever has wrapped, and the mean
     /// of the reads lies behind it by less than 2¹¹.
@@ -345,12 +355,7 @@ impl<S: Scalar> Encoder<S> {
         let last = codes.encoder[READS - 1];
         let behind = match self.reads {
             Reads::All | Reads::Shifted => {
-                // Four at a time: where code is made small no loop is unrolled.
-                let (fours, _) = codes.encoder.as_chunks::<4>();
-                let sum = fours.iter().fold(0_u16, |sum, [a, b, c, d]| {
-                    sum.wrapping_add(*a).wrapping_add(*b).wrapping_add(*c).wrapping_add(*d)
-                });
-                sum.wrapping_sub(last.wrapping_mul(READS as u16)) as i16
+                sum(&codes.encoder).wrapping_sub(last.wrapping_mul(READS as u16)) as i16
             }
             Reads::Last | Reads::Edges => 0,
         };

@@ -59,6 +59,9 @@ pub enum CurrentSensors {
 #[derive(Clone, Debug)]
 pub struct Shunts {
     config: ShuntConfig,
+    /// Code at no current, and the largest sum of both legs' (scaled codes).
+    zero: i32,
+    disagreement: u32,
     /// Scaled codes at no current.
     zeros: [u16; 2],
     sums: [u32; 2],
@@ -73,6 +76,8 @@ impl Shunts {
     pub const fn new(config: ShuntConfig) -> Self {
         Self {
             config,
+            zero: config.zero() as i32,
+            disagreement: config.disagreement as u32 * SCALE as u32,
             zeros: [config.nominal_zero * SCALE; 2],
             sums: [0; 2],
             summed: 0,
@@ -92,8 +97,7 @@ impl Shunts {
             self.learn(codes);
         }
         let [first, second] = self.differences(codes);
-        let zero = i32::from(self.config.zero());
-        (zero + second - first).clamp(0, 2 * zero) as u16
+        (self.zero + second - first).clamp(0, 2 * self.zero) as u16
     }
 
     /// Whether the sensors work.
@@ -112,8 +116,7 @@ impl Shunts {
         self.sums = [0; 2];
         self.summed = 0;
         let [first, second] = self.differences(codes);
-        let disagree =
-            (first + second).unsigned_abs() > u32::from(self.config.disagreement * SCALE);
+        let disagree = (first + second).unsigned_abs() > self.disagreement;
         self.disagreements = if disagree { self.disagreements.saturating_add(1) } else { 0 };
         if self.disagreements >= DISAGREEMENTS {
             self.state = CurrentSensors::Disagree;

@@ -373,8 +373,8 @@ impl<S: Scalar> Supervisor<S> {
     }
 
     /// One PWM period: from this period's sample to the bridge's output.
-    // Not inlined, for its instructions to be counted apart from its caller's.
-    #[inline(never)]
+    // Not inlined where its instructions are counted apart from its caller's.
+    #[cfg_attr(feature = "qemu", inline(never))]
     pub fn step(&mut self, sample: &Sample<S>, conditions: &Conditions) -> Output<S> {
         if conditions.tripped {
             self.latch(Fault::HardwareTrip);
@@ -559,31 +559,25 @@ impl<S: Scalar> Supervisor<S> {
 /// Measuring needs floating point.
 impl Supervisor<f32> {
     /// Arms the drive to measure its motor, from the mode `Ready`: as soon as the bootstrap capacitors are charged, the mode is `Commissioning`, and
-    /// [`step_commissioning`](Self::step_commissioning) is to be called in place of [`step`](Self::step). Ended by [`Command::Off`]
+    /// [`measure`](Self::measure) is to be called after [`step`](Self::step). Ended by [`Command::Off`]
     /// or [`Command::Stop`] at any time.
     pub fn start_commissioning(&mut self) -> Result<(), Refusal> {
         self.silence = 0;
         if self.happens(Event::Commission) { Ok(()) } else { Err(Refusal::Mode(self.mode)) }
     }
 
-    /// As [`step`](Self::step), with `commission` in the place of the drive. All protections hold but those by the motor's model, of which nothing
-    /// is known yet: speed and travel are held by the limits that `commission` has. In other modes than `Commissioning` it is
-    /// `step`, and in that mode `step` alone keeps outputs off.
+    /// What follows [`step`](Self::step) of the same sample in mode `Commissioning`: `commission` takes the place of the drive. Gives the bridge's
+    /// output, which `step` alone keeps off in that mode; in others it stays as it is. All protections hold but those by the motor's
+    /// model, of which nothing is known yet: speed and travel are held by the limits that `commission` has.
     #[cold]
     #[inline(never)]
-    pub fn step_commissioning(
-        &mut self,
-        sample: &Sample<f32>,
-        conditions: &Conditions,
-        commission: &mut Commission,
-    ) -> Output<f32> {
-        let idle = self.step(sample, conditions);
+    pub fn measure(&mut self, sample: &Sample<f32>, commission: &mut Commission) -> Output<f32> {
         if self.mode != Mode::Commissioning {
-            return idle;
+            return self.output;
         }
         if let Some(fault) = self.drive.electrical_fault() {
             self.latch(fault);
-            return idle;
+            return self.output;
         }
         let command = commission.step(sample);
         if commission.phase() == Phase::Over {

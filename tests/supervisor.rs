@@ -132,7 +132,8 @@ impl Bench {
 
     fn step(&mut self) -> Output<f32> {
         let sample = Sample::Exact(self.sample);
-        self.supervisor.step_commissioning(&sample, &self.conditions, &mut self.commission)
+        self.supervisor.step(&sample, &self.conditions);
+        self.supervisor.measure(&sample, &mut self.commission)
     }
 
     fn play(&mut self, periods: u32) {
@@ -268,6 +269,20 @@ fn bootstraps_are_charged_before_the_motor_is_driven() {
     // Ten times the 2 ms that 40 charges of a time constant each take.
     assert!(charging as f32 / RATE > 0.02, "{charging} periods");
     assert!(matches!(bench.step(), Output::Duty(_)));
+}
+
+#[test]
+fn a_bus_or_current_beyond_its_limits_ends_the_charging_in_the_same_period() {
+    for (sample, fault) in [
+        (Exact { current: 21.0, ..REST }, Fault::Overcurrent),
+        (Exact { bus_voltage: 7.0, ..REST }, Fault::BusUndervoltage),
+        (Exact { bus_voltage: 29.0, ..REST }, Fault::BusOvervoltage),
+    ] {
+        let mut bench = Bench::reached(Mode::Armed);
+        assert_eq!(bench.step(), Output::Charge);
+        bench.sample = sample;
+        assert_eq!(bench.time_to(fault), 0.0);
+    }
 }
 
 #[test]
@@ -546,8 +561,8 @@ impl Motor {
 
     fn step(&mut self) -> Output<f32> {
         let sample = self.board.sample();
-        let output =
-            self.supervisor.step_commissioning(&sample, &self.conditions, &mut self.commission);
+        self.supervisor.step(&sample, &self.conditions);
+        let output = self.supervisor.measure(&sample, &mut self.commission);
         self.board.apply(match output {
             Output::Duty(duty) => BridgeCommand::Duty(duty),
             Output::Off | Output::Charge => BridgeCommand::Off,
@@ -831,7 +846,8 @@ proptest! {
                 Happening::Periods(periods, sample, conditions) => {
                     for _ in 0..periods {
                         let was_on = supervisor.output() != Output::Off;
-                        let output = supervisor.step_commissioning(&sample, &conditions, &mut commission);
+                        supervisor.step(&sample, &conditions);
+                        let output = supervisor.measure(&sample, &mut commission);
                         if conditions.tripped {
                             latched.latch(Fault::HardwareTrip);
                         }

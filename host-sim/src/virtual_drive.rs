@@ -85,12 +85,10 @@ impl VirtualDrive {
     pub fn run_period(&mut self) {
         let sample = self.board.sample();
         let start = Instant::now();
-        let output = match &mut self.commission {
-            Some(commission) => {
-                self.supervisor.step_commissioning(&sample, &CONDITIONS, commission)
-            }
-            None => self.supervisor.step(&sample, &CONDITIONS),
-        };
+        let mut output = self.supervisor.step(&sample, &CONDITIONS);
+        if let Some(commission) = &mut self.commission {
+            output = self.supervisor.measure(&sample, commission);
+        }
         self.interrupt_time = start.elapsed();
         self.longest_interrupt_time = self.longest_interrupt_time.max(self.interrupt_time);
         self.board.apply(match output {

@@ -372,8 +372,8 @@ impl<S: Scalar> DriveForm<S> {
         self.current_mismatch = S::from_f32(held(share, reserve_layer), i);
     }
 
-    // Not inlined, for its instructions to be counted apart from its caller's.
-    #[inline(never)]
+    // Not inlined where its instructions are counted apart from its caller's.
+    #[cfg_attr(feature = "qemu", inline(never))]
     pub fn step(
         &mut self,
         rotation: &Rotation<S>,

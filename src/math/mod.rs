@@ -195,16 +195,16 @@ pub fn power_of_two(exponent: i32) -> f32 {
 #[inline]
 fn sum_of_floors(position: i32, step: i32) -> i32 {
     let mut position = position;
-    let mut floor = || {
-        let floor = position >> 16;
-        position = position.wrapping_sub(step);
-        floor
+    let mut four = || {
+        let mut floor = || {
+            let floor = position >> 16;
+            position = position.wrapping_sub(step);
+            floor
+        };
+        floor().wrapping_add(floor()).wrapping_add(floor()).wrapping_add(floor())
     };
-    // Four at a time: where code is made small no loop is unrolled.
-    (0..4).fold(0, |sum: i32, _| {
-        let [a, b, c, d] = [floor(), floor(), floor(), floor()];
-        sum.wrapping_add(a).wrapping_add(b).wrapping_add(c).wrapping_add(d)
-    })
+    // Written out: where code is made small no loop is unrolled.
+    four().wrapping_add(four()).wrapping_add(four()).wrapping_add(four())
 }
 
 #[cfg(test)]

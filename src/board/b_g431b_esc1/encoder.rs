@@ -65,11 +65,11 @@ pub struct Encoder {
 /// A period's reads.
 pub struct Counts {
     /// The counter.
-    pub reads: [u16; READS],
+    pub reads: &'static [u16; READS],
     /// How much earlier they were made, as [`Codes::shift`](crate::hal::Codes::shift) has it.
     pub shift: u8,
     /// Whether they are of the period just ended, next to those before, and DMA has gone on from there by a few reads at most.
-    pub is_in_time: bool,
+    pub are_in_time: bool,
 }
 
 /// Compare value for a shift: 530 to 2.
@@ -144,7 +144,7 @@ impl Encoder {
         Self { shifts: [0; 2], random: 1, last: None }
     }
 
-    /// The reads of the period that has just ended.
+    /// The reads of the period that has just ended. DMA writes over them in the one after the next.
     #[inline]
     pub fn read(&mut self) -> Counts {
         // What DMA still has to fill: more than a half while it is in the first.
@@ -153,9 +153,9 @@ impl Encoder {
         let begun = left.wrapping_neg() % READS;
         // What is read below is as DMA left it.
         compiler_fence(Ordering::Acquire);
-        // SAFETY: DMA has left this half, and comes back to it in a period.
-        let reads = unsafe { COUNTS.0[complete].get().read() };
-        let is_in_time = self.last != Some(complete) && begun <= MOST_BEGUN;
+        // SAFETY: DMA has left this half, and comes back to it in a period, when this has long been read.
+        let reads = unsafe { &*COUNTS.0[complete].get() };
+        let are_in_time = self.last != Some(complete) && begun <= MOST_BEGUN;
         self.last = Some(complete);
 
         // Numerical Recipes' linear congruential generator: its high bits are random enough for this.
@@ -164,6 +164,6 @@ impl Encoder {
         let new = (self.random >> 24) as u8;
         NEXT_COMPARE.store(compare(new), Ordering::Relaxed);
         self.shifts = [next, new];
-        Counts { reads, shift, is_in_time }
+        Counts { reads, shift, are_in_time }
     }
 }

@@ -6,7 +6,7 @@
 
 use super::analogue::{self, Conversions};
 use super::bridge::{self, Bridge};
-use super::encoder::{Counts, Encoder};
+use super::encoder::Encoder;
 use crate::board::handed_over::HandedOver;
 use crate::board::slot::Slot;
 use crate::commission::{Commission, Evidence, Progress};
@@ -127,8 +127,8 @@ pub fn set_telemetry(decimation: u32) {
     DECIMATION.store(decimation, Ordering::Relaxed);
 }
 
-/// Periods from one look at the temperature to the next.
-const TEMPERATURE_PERIODS: u32 = 32;
+/// Periods from one look at what is slow to the next: the temperature, and what is told of the status.
+const SLOW_PERIODS: u32 = 32;
 
 /// What the interrupt works on.
 struct Control {
@@ -198,72 +198,76 @@ impl Control {
     fn period(&mut self, start: u32) {
         bridge::take_update();
         let Conversions { legs, bus_voltage, temperature } = analogue::read();
-        let Counts { reads, shift, is_in_time } = self.encoder.read();
+        let counts = self.encoder.read();
         let is_next = start.wrapping_sub(self.started) < bridge::PERIOD + bridge::PERIOD / 2;
         self.started = start;
-        self.listen();
+        if ORDER.is_full() {
+            self.obey();
+        }
+        if CHANGE.is_full() {
+            self.change();
+        }
         let current = self.shunts.read(legs, self.bridge.is_on());
         let period = PERIODS.load(Ordering::Relaxed).wrapping_add(1);
         PERIODS.store(period, Ordering::Relaxed);
-        // Nothing else is as slow.
-        if period % TEMPERATURE_PERIODS == 1 {
+        if period % SLOW_PERIODS == 1 {
             self.temperature = analogue::celsius(temperature);
+            self.tell_status();
         }
         let conditions = Conditions {
             temperature: self.temperature,
             current_sensors: self.shunts.state(),
             tripped: self.bridge.has_tripped(),
-            overrun: self.is_late || !is_in_time || !is_next || self.bridge.was_halted(),
+            overrun: self.is_late || !counts.are_in_time || !is_next || self.bridge.was_halted(),
         };
-        let codes = Codes { current, bus_voltage, encoder: reads, shift };
-        let sample = Sample::Codes(codes);
-        let output = if self.supervisor.mode() == Mode::Commissioning {
-            self.commission(&sample, &conditions)
-        } else {
-            self.supervisor.step(&sample, &conditions)
-        };
+        let sample = Sample::Codes(Codes {
+            encoder: *counts.reads,
+            current,
+            bus_voltage,
+            shift: counts.shift,
+        });
+        let mut output = self.supervisor.step(&sample, &conditions);
+        if self.supervisor.mode() == Mode::Commissioning {
+            output = self.commission(&sample);
+        }
         self.bridge.apply(output);
         // The update that these compare values were for has passed.
         self.is_late = bridge::take_update();
 
-        self.tell(period, output);
+        self.since_telemetry = self.since_telemetry.wrapping_add(1);
+        let decimation = DECIMATION.load(Ordering::Relaxed);
+        if decimation > 0 && self.since_telemetry >= decimation {
+            self.since_telemetry = 0;
+            self.tell_period(period, output);
+        }
         let [last, longest] = &mut self.cycles;
         *last = DWT::cycle_count().wrapping_sub(start);
         *longest = (*longest).max(*last);
     }
 
-    /// Takes what tasks have for the drive.
-    #[inline]
-    fn listen(&mut self) {
-        if let Some(order) = ORDER.take() {
-            let result = match order {
-                Order::Command(command) => self.supervisor.command(command),
-                Order::Commission => self.supervisor.start_commissioning(),
-            };
-            let progress = match self.supervisor.mode() {
-                Mode::Commissioning => progress(),
-                _ => Progress::OVER,
-            };
-            // There is room: who gave the order has emptied it.
-            ANSWER.put(Answer { result, status: status_of(&self.supervisor), progress });
-        }
-        if CHANGE.is_full() {
-            self.change();
-        }
-    }
-
-    /// A period of commissioning, out of slower memory: it has the time.
+    /// Does what a task orders.
     #[cold]
     #[inline(never)]
-    fn commission(&mut self, sample: &Sample<f32>, conditions: &Conditions) -> Output<f32> {
+    fn obey(&mut self) {
+        let Some(order) = ORDER.take() else { return };
+        let result = match order {
+            Order::Command(command) => self.supervisor.command(command),
+            Order::Commission => self.supervisor.start_commissioning(),
+        };
+        let progress = match self.supervisor.mode() {
+            Mode::Commissioning => progress(),
+            _ => Progress::OVER,
+        };
+        // There is room: who gave the order has emptied it.
+        ANSWER.put(Answer { result, status: status_of(&self.supervisor), progress });
+    }
+
+    /// A period of commissioning, out of slower memory: it has the time. Without what measures outputs are off.
+    #[cold]
+    #[inline(never)]
+    fn commission(&mut self, sample: &Sample<f32>) -> Output<f32> {
         let supervisor = &mut self.supervisor;
-        let step =
-            |commission: &mut _| supervisor.step_commissioning(sample, conditions, commission);
-        // Without what measures outputs stay off.
-        match COMMISSION.lend(step) {
-            Some(output) => output,
-            None => self.supervisor.step(sample, conditions),
-        }
+        COMMISSION.lend(|commission| supervisor.measure(sample, commission)).unwrap_or(Output::Off)
     }
 
     #[cold]
@@ -281,18 +285,10 @@ impl Control {
         CHANGE.discard();
     }
 
-    /// Tells tasks what there is to tell.
-    #[inline]
-    fn tell(&mut self, period: u32, output: Output<f32>) {
+    fn tell_status(&mut self) {
         let status = status_of(&self.supervisor);
         if status != self.status && STATUS.put(status) {
             self.status = status;
-        }
-        self.since_telemetry = self.since_telemetry.saturating_add(1);
-        let decimation = DECIMATION.load(Ordering::Relaxed);
-        if decimation > 0 && self.since_telemetry >= decimation {
-            self.since_telemetry = 0;
-            self.tell_period(period, output);
         }
     }
 

@@ -104,8 +104,8 @@ impl<S: Scalar> Paper<S> {
         self.control(speed, measured.current, reference)
     }
 
-    // Not inlined, for its instructions to be counted apart from its caller's.
-    #[inline(never)]
+    // Not inlined where its instructions are counted apart from its caller's.
+    #[cfg_attr(feature = "qemu", inline(never))]
     fn control(&mut self, speed: S, current: S, reference: &Reference<S>) -> S {
         let z1 = speed - reference.speed;
         let modelled = self.law.modelled_acceleration(speed, current);
