@@ -5,6 +5,7 @@
 //! sample holds, it returns a finite duty within the limit, or [`BridgeCommand::Off`].
 
 use crate::config::ConfigError;
+use crate::control::injection::Injections;
 use crate::control::{ControlConfig, Controller, Decision, Ranges, Setting, Signals, Timing};
 pub use crate::fault::Fault;
 use crate::hal::{Board, BridgeCommand, Sample};
@@ -141,41 +142,36 @@ pub struct Drive<S: Scalar> {
     /// The highest bus is 2⁻`headroom` of the base of voltages.
     headroom: u32,
     bases: Bases,
+    /// Of the controller. Last, being large.
+    injections: Injections<S>,
 }
 
-/// A controller that is ready to take over; see [`Drive::change_controller`].
-#[derive(Clone, Debug)]
-pub struct ReadyController<S: Scalar>(Controller<S>);
-
-impl<S: Scalar> ReadyController<S> {
-    /// Builds the controller of a configuration; all else in it must be as the drive that it is for was built.
-    pub fn new(config: &DriveConfig) -> Result<Self, ConfigError> {
-        Ok(Self(Self::controller(config)?))
-    }
-
-    fn controller(config: &DriveConfig) -> Result<Controller<S>, ConfigError> {
-        let motor = config.motor.coefficients()?;
-        let DriveConfig { limits, timing, .. } = config;
-        limits.check()?;
-        let setting = Setting {
-            motor: &motor,
-            timing,
-            shaft: &config.sensors.shaft(timing.period()),
-            ranges: &Ranges {
-                speed: limits.speed,
-                current: limits.current,
-                current_command: limits.current_command,
-            },
-            bases: &Bases::new(config)?,
-        };
-        Controller::new(&config.control, &setting)
-    }
+/// Builds the controller of a configuration and tabulates its injections.
+fn build<S: Scalar>(
+    config: &DriveConfig,
+    injections: &mut Injections<S>,
+) -> Result<Controller<S>, ConfigError> {
+    let motor = config.motor.coefficients()?;
+    let DriveConfig { limits, timing, .. } = config;
+    limits.check()?;
+    let setting = Setting {
+        motor: &motor,
+        timing,
+        shaft: &config.sensors.shaft(timing.period()),
+        ranges: &Ranges {
+            speed: limits.speed,
+            current: limits.current,
+            current_command: limits.current_command,
+        },
+        bases: &Bases::new(config)?,
+    };
+    Controller::new(&config.control, &setting, injections)
 }
 
 impl<S: Scalar> Drive<S> {
     /// Builds a drive, not armed, commanded to stand still. Refuses a configuration outside its range, naming the field.
-    // Not inlined, as others that build what is large: a caller would keep this stack while it calls on.
-    #[inline(never)]
+    // In one frame with the supervisor's: each would take the stack of a whole drive.
+    #[inline(always)]
     pub fn new(config: &DriveConfig) -> Result<Self, ConfigError> {
         let DriveConfig { limits, timing, .. } = config;
         let shaft = config.sensors.shaft(timing.period());
@@ -184,6 +180,8 @@ impl<S: Scalar> Drive<S> {
         let MotorParameters { resistance, back_emf_constant, inertia, .. } = config.motor;
         let modelled = [(resistance, current), (back_emf_constant, speed)];
         // However slow the shaft, an edge between two samples' reads is a whole count, and noise may be another.
+        let mut injections = Injections::NONE;
+        let controller = build(config, &mut injections)?;
         let advance = 2.0 * (limits.speed * timing.period() / shaft.unit.abs() + shaft.grain);
         Ok(Self {
             mode: Mode::Off,
@@ -214,8 +212,8 @@ impl<S: Scalar> Drive<S> {
             measured: [S::ZERO; 2],
             headroom: S::headroom("limits.bus_max", limits.bus_max, voltage)?,
             bases,
-            // Last, and so straight to its place: it is large.
-            controller: ReadyController::controller(config)?,
+            controller,
+            injections,
         })
     }
 
@@ -232,20 +230,17 @@ impl<S: Scalar> Drive<S> {
         }
     }
 
-    /// Another controller, or the same with other gains, from the next step on. In the middle of a run it takes over without
-    /// a jump: it starts from the speed that was known, the current that there is, and the voltage that acts.
-    pub fn change_controller(&mut self, mut controller: ReadyController<S>) {
-        self.swap_controller(&mut controller);
-    }
-
-    /// The same without moving it, which takes less stack. The one that ran until now is left in its place.
-    pub fn swap_controller(&mut self, ReadyController(controller): &mut ReadyController<S>) {
+    /// Another controller, or the same with other gains, from the next step on: that of a drive which is built from the same
+    /// configuration in everything but [`DriveConfig::control`]. In the middle of a run it takes over without a jump: it starts from the
+    /// speed that was known, the current that there is, and the voltage that acts. The one that ran until now goes to `other`.
+    pub fn take_controller(&mut self, other: &mut Self) {
         self.changed |= self.driving;
         if self.driving {
             self.idle_speed = self.controller.signals().speed;
             self.driving = false;
         }
-        core::mem::swap(&mut self.controller, controller);
+        core::mem::swap(&mut self.controller, &mut other.controller);
+        core::mem::swap(&mut self.injections, &mut other.injections);
         self.controller.know(self.idle_speed);
     }
 
@@ -299,7 +294,7 @@ impl<S: Scalar> Drive<S> {
         }
         let reference = self.shaper.advance();
         let Decision { voltage, speed, exhausted } =
-            self.controller.step(&measured, reference, self.voltage);
+            self.controller.step(&self.injections, &measured, reference, self.voltage);
         // Not the other way round: a NaN is no speed within the limit.
         let plausible = speed.abs() <= self.speed_limit;
         if !plausible {
@@ -334,7 +329,7 @@ impl<S: Scalar> Drive<S> {
         self.seen = true;
         if self.mode != Mode::Running {
             if self.can_follow(&measured) {
-                self.idle_speed = self.controller.follow(&measured);
+                self.idle_speed = self.controller.follow(&self.injections, &measured);
                 // What no shaft does is unlearnt at once.
                 let plausible = self.idle_speed.abs() <= self.speed_limit + self.speed_limit;
                 if !plausible {
@@ -353,12 +348,14 @@ impl<S: Scalar> Drive<S> {
         self.mismatched = 0;
         if core::mem::replace(&mut self.changed, false) {
             let reference = *self.shaper.clone().advance();
-            self.controller.resume(self.idle_speed, &measured, &reference, self.voltage);
+            let (speed, acting) = (self.idle_speed, self.voltage);
+            self.controller.resume(&self.injections, speed, &measured, &reference, acting);
             return Some(measured);
         }
         self.shaper.reset(self.idle_speed);
         self.voltage = S::combine(&self.back_emf, [self.idle_speed]);
-        self.controller.start(&measured, self.shaper.clone().advance());
+        let reference = *self.shaper.clone().advance();
+        self.controller.start(&self.injections, &measured, &reference);
         Some(measured)
     }
 

@@ -23,7 +23,7 @@
 
 use crate::commission::{Commission, Phase};
 use crate::config::{ConfigError, positive, require};
-use crate::drive::{self, Drive, DriveConfig, ReadyController};
+use crate::drive::{self, Drive, DriveConfig};
 use crate::fault::{ActiveLimit, ActiveLimits, Fault, Faults};
 use crate::hal::{BridgeCommand, Sample};
 use crate::math::{Base, Scalar};
@@ -312,8 +312,6 @@ impl<S: Scalar> Slow<S> {
 
 impl<S: Scalar> Supervisor<S> {
     /// Builds a drive and its supervisor. Refuses a configuration outside its range, naming the field.
-    // Not inlined, as others that build what is large: a caller would keep this stack while it calls on.
-    #[inline(never)]
     pub fn new(config: &DriveConfig, protection: &Protection) -> Result<Self, ConfigError> {
         let bases = Bases::new(config)?;
         let squares = bases.current.squared();
@@ -360,9 +358,9 @@ impl<S: Scalar> Supervisor<S> {
         }
     }
 
-    /// Another controller, or the same with other gains; see [`Drive::change_controller`].
-    pub fn change_controller(&mut self, controller: &mut ReadyController<S>) {
-        self.drive.swap_controller(controller);
+    /// Another controller, or the same with other gains; see [`Drive::take_controller`].
+    pub fn take_controller(&mut self, other: &mut Self) {
+        self.drive.take_controller(&mut other.drive);
     }
 
     /// Latches a fault: outputs are off from the next step.

@@ -3,7 +3,7 @@
 use host_sim::board::SimulatedBoard;
 use host_sim::scenario::{Controller, Scenario, StartName};
 use host_sim::sensors::ReadsName;
-use quasidrive::drive::{Drive, Fault, Mode, ReadyController};
+use quasidrive::drive::{Drive, Fault, Mode};
 use quasidrive::hal::{Board, BridgeCommand, Codes, Sample};
 use std::path::Path;
 
@@ -67,7 +67,7 @@ fn controllers_take_over_without_a_bump() {
     for pair in all.windows(2) {
         let calm = play(&mut drive, &mut board, 4000, steady);
         let next = scenario(pair[1]);
-        drive.change_controller(ReadyController::new(&next.drive_config()).expect("valid"));
+        drive.take_controller(&mut Drive::new(&next.drive_config()).expect("valid"));
         let (speed, voltage) = play(&mut drive, &mut board, 4000, steady);
         let name = format!("{} to {}", pair[0], pair[1]);
         // Each controller has its own ripple; a bump is what exceeds both.
@@ -86,7 +86,7 @@ fn a_change_while_off_waits_for_the_drive_to_be_armed() {
     let mut drive = Drive::<f32>::new(&first.drive_config()).expect("valid");
     let mut board = SimulatedBoard::<f32>::new(&first, *drive.bases());
     let next = scenario(Controller::DriveQsmdo);
-    drive.change_controller(ReadyController::new(&next.drive_config()).expect("valid"));
+    drive.take_controller(&mut Drive::new(&next.drive_config()).expect("valid"));
     assert_eq!(drive.step(&board.sample()), BridgeCommand::Off);
     drive.arm().expect("no fault");
     assert!(matches!(drive.step(&board.sample()), BridgeCommand::Duty(_)));
@@ -103,15 +103,15 @@ fn running(controller: Controller) -> (Drive<f32>, SimulatedBoard<f32>) {
     (drive, board)
 }
 
-fn ready(controller: Controller) -> ReadyController<f32> {
-    ReadyController::new(&scenario(controller).drive_config()).expect("valid")
+fn other(controller: Controller) -> Drive<f32> {
+    Drive::new(&scenario(controller).drive_config()).expect("valid")
 }
 
 #[test]
 fn two_changes_in_one_period_are_as_one() {
     let (mut drive, mut board) = running(Controller::DriveQsmdo);
-    drive.change_controller(ready(Controller::Pi));
-    drive.change_controller(ready(Controller::DriveQismc));
+    drive.take_controller(&mut other(Controller::Pi));
+    drive.take_controller(&mut other(Controller::DriveQismc));
     let (speed, _) = play(&mut drive, &mut board, 4000, (100.0, 0.0));
     assert!(speed < 0.1, "{speed} rad/s");
 }
@@ -125,7 +125,7 @@ fn a_controller_that_came_while_off_knows_the_speed() {
             let command = drive.step(&board.sample());
             board.apply(command);
         }
-        drive.change_controller(ready(next));
+        drive.take_controller(&mut other(next));
         let command = drive.step(&board.sample());
         board.apply(command);
         drive.arm().expect("no fault");

@@ -9,7 +9,7 @@ use quasidrive::control::drive_form::{DriveFormConfig, Memory};
 use quasidrive::control::ladrc::LadrcConfig;
 use quasidrive::control::paper::{Form, Gains, Law, PaperConfig, Start};
 use quasidrive::control::pi::PiConfig;
-use quasidrive::drive::{Drive, DriveConfig, Fault, Limits, Mode, ReadyController};
+use quasidrive::drive::{Drive, DriveConfig, Fault, Limits, Mode};
 use quasidrive::estimate::SpeedSource;
 use quasidrive::hal::{BridgeCommand, Codes, Exact, READS, Sample};
 use quasidrive::math::{Base, Q31, Scalar};
@@ -311,8 +311,8 @@ proptest! {
             control: control(&other, &config.motor, &config.timing, &config.limits),
             ..config
         };
-        let second = ReadyController::<Q31>::new(&second).ok();
-        let first = ReadyController::<Q31>::new(&config).ok();
+        let second = Drive::<Q31>::new(&second).ok();
+        let first = Drive::<Q31>::new(&config).ok();
         let mut counter = 0_u16;
         for (kind, [a, b, c, d], share) in samples {
             if kind >= 7 {
@@ -321,8 +321,8 @@ proptest! {
             }
             match d % 16 { 0 | 1 => drive.clear_fault(), 2 => drive.disarm(), _ => {} }
             if d % 5 != 0 { drive.clear_fault(); drive.arm().ok(); }
-            if c % 16 == 0 && let Some(second) = &second { drive.change_controller(second.clone()); }
-            if c % 16 == 1 && let Some(first) = &first { drive.change_controller(first.clone()); }
+            if c % 16 == 0 && let Some(second) = &second { drive.take_controller(&mut second.clone()); }
+            if c % 16 == 1 && let Some(first) = &first { drive.take_controller(&mut first.clone()); }
             let fastest = match config.sensors {
                 Sensors::Codes(k) => (config.limits.speed * config.timing.period() / k.count().abs()) as u16,
                 Sensors::Exact => 0,
@@ -372,11 +372,11 @@ proptest! {
         let mut drive = built.expect("ok");
         let mut rig = Rig::new(&config);
         prop_assume!(rig.plant.steps_for(f64::from(config.timing.period()) / 16.0) < 50);
-        let second = ReadyController::<Q31>::new(&DriveConfig { control: control(&other, &config.motor, &config.timing, &config.limits), ..config });
+        let second = Drive::<Q31>::new(&DriveConfig { control: control(&other, &config.motor, &config.timing, &config.limits), ..config });
         for (number, (target, load)) in targets.iter().enumerate() {
             drive.set_speed(0.99 * target * config.limits.speed).expect("within");
             rig.load = load * f64::from(config.motor.back_emf_constant * config.limits.current);
-            if number == 3 && let Ok(second) = &second { drive.change_controller(second.clone()); }
+            if number == 3 && let Ok(second) = &second { drive.take_controller(&mut second.clone()); }
             for period in 0..400 {
                 if number == 2 && period < 100 { drive.disarm(); } else { drive.clear_fault(); drive.arm().ok(); }
                 let command = drive.step(&rig.sample(&drive));

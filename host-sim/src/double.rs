@@ -49,6 +49,7 @@ impl Scalar for Double {
     type Table = Table;
 
     const ZERO: Self = Self(0.0);
+    const NO_TABLE: Table = Table { origin: 0.0, per_unit: 0.0, segments: [[0.0; 3]; SEGMENTS] };
     const ANY_TIME: bool = true;
 
     fn from_f32(value: f32, _base: Base) -> Self {
@@ -107,13 +108,19 @@ impl Scalar for Double {
         Self::combine(gains, signals)
     }
 
-    fn table(_field: &'static str, curve: &Curve, _base: Base) -> Result<Table, ConfigError> {
+    fn tabulate(
+        table: &mut Table,
+        _field: &'static str,
+        curve: &Curve,
+        _base: Base,
+    ) -> Result<(), ConfigError> {
         let graded = Graded::new(curve);
-        Ok(Table {
+        *table = Table {
             origin: graded.origin.into(),
             per_unit: graded.per_unit.into(),
             segments: std::array::from_fn(|index| graded.segment(index).map(f64::from)),
-        })
+        };
+        Ok(())
     }
 
     fn look_up(table: &Table, signal: Self) -> Self {

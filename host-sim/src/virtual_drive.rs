@@ -9,7 +9,7 @@ use crate::scenario::Scenario;
 use quasidrive::commission::{Commission, Evidence, Nameplate, Progress};
 use quasidrive::config::ConfigError;
 use quasidrive::control::{ControlConfig, Timing};
-use quasidrive::drive::{DriveConfig, ReadyController};
+use quasidrive::drive::DriveConfig;
 use quasidrive::fault::Fault;
 use quasidrive::hal::{Board, BridgeCommand};
 use quasidrive::link::message::{Identity, Refusal, Status, Telemetry, VERSION};
@@ -188,8 +188,10 @@ impl Device for VirtualDrive {
 
     fn change_controller(&mut self, control: &ControlConfig) -> Result<(), Refusal<'static>> {
         let drive = DriveConfig { control: *control, ..self.parameters.drive };
-        self.supervisor.change_controller(&mut ReadyController::new(&drive)?);
-        self.parameters.drive = drive;
+        let parameters = Parameters { drive, ..self.parameters };
+        let mut other = build(&parameters, &self.parameters.drive.timing)?;
+        self.supervisor.take_controller(&mut other);
+        self.parameters = parameters;
         Ok(())
     }
 

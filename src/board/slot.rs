@@ -36,6 +36,20 @@ impl<T> Slot<T> {
         is_ours
     }
 
+    /// Puts a value in that may not come about, unless there is one: for one that is too large to be moved about.
+    #[inline]
+    pub fn fill<E>(&self, make: impl FnOnce() -> Result<T, E>) -> Result<(), E> {
+        if !self.claim(EMPTY) {
+            return Ok(());
+        }
+        let made = make().map(|value| {
+            // SAFETY: the state is BUSY, by this call.
+            unsafe { (*self.value.get()).write(value) };
+        });
+        self.state.store(if made.is_ok() { FULL } else { EMPTY }, Ordering::Release);
+        made
+    }
+
     /// Takes the value out, if there is one.
     #[inline]
     pub fn take(&self) -> Option<T> {

@@ -23,7 +23,7 @@
 //! with Ad = e^(−h·Ra/La), Bd = (1 − Ad)/Ra, and u the voltage that acts from the sample on. BS-QISMC remembers z1 in place of
 //! ω̂: a jump of the reference enters its σ1; with a smooth one the two are the same.
 
-use super::injection::Injection;
+use super::injection::Injections;
 use super::{Setting, Signals, Timing};
 use crate::config::{ConfigError, positive, require};
 use crate::estimate::AngleObserver;
@@ -184,8 +184,6 @@ pub(crate) struct DriveForm<S: Scalar> {
     holding: S::Gains<2>,
     output_share: S::Steep<1>,
     a2: S::Gains<1>,
-    disturbance_injection: Injection<S>,
-    voltage_injection: Injection<S>,
     resumption: Resumption,
 }
 
@@ -208,7 +206,12 @@ struct Resumption {
 const EXHAUSTED: f32 = 3.0;
 
 impl<S: Scalar> DriveForm<S> {
-    pub fn new(config: &DriveFormConfig, setting: &Setting) -> Result<Self, ConfigError> {
+    /// Builds the controller and tabulates its injections.
+    pub fn new(
+        config: &DriveFormConfig,
+        setting: &Setting,
+        injections: &mut Injections<S>,
+    ) -> Result<Self, ConfigError> {
         let &Setting { motor, timing, shaft, ranges, bases } = setting;
         let age = shaft.age;
         let &Coefficients { a1, a2, a3, a4, inductance, inertia } = motor;
@@ -263,6 +266,8 @@ impl<S: Scalar> DriveForm<S> {
             load_torque,
         )?;
         let [torque, reserve] = ["control.load_torque", "control.voltage_reserve"];
+        injections.first.tabulate(torque, 0.0, epsilon1, w)?;
+        injections.second.tabulate(reserve, 0.0, epsilon2, i)?;
         Ok(Self {
             last: Signals::NONE,
             observer,
@@ -305,15 +310,12 @@ impl<S: Scalar> DriveForm<S> {
                 reserve_layer: epsilon2,
                 bases: [w, a, i, v],
             },
-            // Last, and so straight to their places: they are large.
-            disturbance_injection: Injection::new(torque, 0.0, epsilon1, w)?,
-            voltage_injection: Injection::new(reserve, 0.0, epsilon2, i)?,
         })
     }
 
     /// Runs the observer of angle, speed and disturbance.
     #[inline(always)]
-    fn observe(&mut self, rotation: &Rotation<S>, current: S, jump: S) {
+    fn observe(&mut self, injections: &Injections<S>, rotation: &Rotation<S>, current: S, jump: S) {
         let both = self.current + current;
         let acceleration =
             S::combine(&self.modelled, [both, self.observer.speed]) + self.disturbance;
@@ -329,14 +331,14 @@ impl<S: Scalar> DriveForm<S> {
             Memory::Integral => mismatch - jump,
         };
         self.speed_mismatch = mismatch.limited(self.speed_limit);
-        let injection = self.disturbance_injection.value(self.speed_mismatch);
+        let injection = injections.first.value(self.speed_mismatch);
         self.disturbance = S::combine(&self.k1, [injection]);
         self.current = current;
     }
 
     /// With the bridge off the observer goes on, so that a start finds speed and load known.
-    pub fn follow(&mut self, measured: &Measured<S>) -> S {
-        self.observe(&measured.rotation, measured.current, S::ZERO);
+    pub fn follow(&mut self, injections: &Injections<S>, measured: &Measured<S>) -> S {
+        self.observe(injections, &measured.rotation, measured.current, S::ZERO);
         self.exhausted = 0;
         self.observer.speed
     }
@@ -355,7 +357,13 @@ impl<S: Scalar> DriveForm<S> {
     }
 
     /// Takes over: the current that it finds is what holds the speed, and the voltage that acts is the right one.
-    pub fn resume(&mut self, measured: &Measured<S>, reference: &Reference<S>, acting: S) {
+    pub fn resume(
+        &mut self,
+        injections: &Injections<S>,
+        measured: &Measured<S>,
+        reference: &Reference<S>,
+        acting: S,
+    ) {
         let (speed, current) = (self.observer.speed, measured.current);
         self.start(measured, reference);
         let modelled = S::combine(&self.modelled, [current + current, speed]);
@@ -365,7 +373,7 @@ impl<S: Scalar> DriveForm<S> {
         let held = |share: f32, layer: f32| layer * atanh(share.clamp(-0.99, 0.99));
         let share = (reference.acceleration - modelled).to_f32(a) / strength;
         self.speed_mismatch = S::from_f32(held(share, layer), w);
-        let injection = self.disturbance_injection.value(self.speed_mismatch);
+        let injection = injections.first.value(self.speed_mismatch);
         self.disturbance = S::combine(&self.k1, [injection]);
         let needed = S::combine(&self.holding, [current, speed]);
         let share = (needed - acting).to_f32(v) / reserve;
@@ -376,20 +384,20 @@ impl<S: Scalar> DriveForm<S> {
     #[cfg_attr(feature = "qemu", inline(never))]
     pub fn step(
         &mut self,
+        injections: &Injections<S>,
         rotation: &Rotation<S>,
         current: S,
         reference: &Reference<S>,
         acting: S,
     ) -> S {
-        self.observe(rotation, current, reference.speed - self.predicted_reference);
+        self.observe(injections, rotation, current, reference.speed - self.predicted_reference);
         let speed = self.observer.speed;
         let disturbance = self.disturbance;
 
         // What the armature's model lacks.
         let mismatch = self.current_mismatch + (current - self.predicted_current);
         self.current_mismatch = mismatch.limited(self.current_limit);
-        let lacking =
-            S::combine(&self.reserve, [self.voltage_injection.value(self.current_mismatch)]);
+        let lacking = S::combine(&self.reserve, [injections.second.value(self.current_mismatch)]);
 
         // The state at the next sample.
         let inner = acting - S::combine(&self.back_emf, [speed]) + lacking;
@@ -541,7 +549,10 @@ mod tests {
         voltage_reserve: 2.5,
     };
 
-    fn built(config: &DriveFormConfig, timing: Timing) -> Result<DriveForm<f32>, ConfigError> {
+    fn built(
+        config: &DriveFormConfig,
+        timing: Timing,
+    ) -> Result<(DriveForm<f32>, Injections<f32>), ConfigError> {
         let motor = MotorParameters::PAPER.coefficients().expect("valid");
         let ranges = &Ranges { speed: 1000.0, current: 25.0, current_command: 20.0 };
         // In rad, as from exact sensors.
@@ -556,7 +567,9 @@ mod tests {
         };
         let setting =
             Setting { motor: &motor, timing: &timing, shaft, ranges, bases: &Bases::NONE };
-        DriveForm::new(config, &setting)
+        let mut injections = Injections::NONE;
+        let form = DriveForm::new(config, &setting, &mut injections)?;
+        Ok((form, injections))
     }
 
     fn turned(advance: f32) -> Rotation<f32> {
@@ -619,7 +632,7 @@ mod tests {
     fn estimates_stay_within_their_authority_and_the_command_within_its_limit() {
         // Pulled about for long in every direction, beyond what any motor does.
         for memory in [Memory::Observer, Memory::Integral] {
-            let mut form = built(&GOOD.with_memory(memory), TIMING).expect("valid");
+            let (mut form, injections) = built(&GOOD.with_memory(memory), TIMING).expect("valid");
             let k1 = 0.3 / 7.95e-5;
             let (layer1, layer2) = (form.speed_limit, form.current_limit);
             let mut largest = [0.0_f32; 3];
@@ -632,7 +645,7 @@ mod tests {
                     _ => (0.0, 25.0, 0.0),
                 };
                 let reference = Reference::constant(if phase % 2 == 0 { 1000.0 } else { -1000.0 });
-                form.step(&turned(advance), current, &reference, acting);
+                form.step(&injections, &turned(advance), current, &reference, acting);
                 let signals = *form.signals();
                 assert!(signals.disturbance.abs() <= k1 * 1.000_01, "{signals:?}");
                 let [first, second] = form.sliding_variables();
@@ -640,7 +653,7 @@ mod tests {
                 // z2 = a2·(î⁺ − i*), and î⁺ is bounded by what came in: i* is within ±20 A.
                 let command = form.predicted_current - signals.z2 / form.a2[0];
                 assert!(command.abs() <= 20.001, "{command}");
-                let lacking = 2.5 * form.voltage_injection.value(second);
+                let lacking = 2.5 * injections.second.value(second);
                 largest[0] = largest[0].max(signals.disturbance.abs() / k1);
                 largest[1] = largest[1].max(lacking.abs());
                 largest[2] = largest[2].max(command.abs());
@@ -654,10 +667,12 @@ mod tests {
 
     #[test]
     fn steps_beyond_authority_are_counted_and_forgotten() {
-        let mut form = built(&GOOD, TIMING).expect("valid");
+        let (mut form, injections) = built(&GOOD, TIMING).expect("valid");
         let reference = Reference::constant(60.0);
         // 20 A and no motion.
-        let stall = |form: &mut DriveForm<f32>| form.step(&turned(0.0), 20.0, &reference, 14.0);
+        let stall = |form: &mut DriveForm<f32>| {
+            form.step(&injections, &turned(0.0), 20.0, &reference, 14.0)
+        };
         for _ in 0..200 {
             stall(&mut form);
         }
@@ -673,42 +688,42 @@ mod tests {
         }
         assert_eq!(form.exhausted(), 10);
         // With the bridge off nothing is counted.
-        form.follow(&measured(0.0, 0.0));
+        form.follow(&injections, &measured(0.0, 0.0));
         assert_eq!(form.exhausted(), 0);
         // Nor where no current flows and nothing moves.
         for _ in 0..400 {
-            form.follow(&measured(0.0, 0.0));
+            form.follow(&injections, &measured(0.0, 0.0));
         }
         form.start(&measured(0.0, 0.0), &Reference::constant(0.0));
         for _ in 0..400 {
-            form.step(&turned(0.0), 0.0, &Reference::constant(0.0), 0.0);
+            form.step(&injections, &turned(0.0), 0.0, &Reference::constant(0.0), 0.0);
         }
         assert_eq!(form.exhausted(), 0);
     }
 
     #[test]
     fn a_start_forgets_what_the_armature_lacked() {
-        let mut form = built(&GOOD, TIMING).expect("valid");
+        let (mut form, injections) = built(&GOOD, TIMING).expect("valid");
         let reference = Reference::constant(0.0);
         // 10 V more than the model wants for no current.
         for _ in 0..100 {
-            form.step(&turned(0.0), 0.0, &reference, 10.0);
+            form.step(&injections, &turned(0.0), 0.0, &reference, 10.0);
         }
         assert!(form.sliding_variables()[1] < -1.0, "{:?}", form.sliding_variables());
         form.start(&measured(0.0, 0.0), &reference);
-        form.step(&turned(0.0), 0.0, &reference, 0.0);
+        form.step(&injections, &turned(0.0), 0.0, &reference, 0.0);
         assert_eq!(form.sliding_variables()[1], 0.0);
     }
 
     #[test]
     fn more_inertia_than_the_model_has_is_not_stuck() {
         // 20 A and a fifth of the model's acceleration: beyond authority for 30 ms, and 89 rad/s nearer.
-        let mut form = built(&GOOD, TIMING).expect("valid");
+        let (mut form, injections) = built(&GOOD, TIMING).expect("valid");
         let reference = Reference::constant(300.0);
         let acceleration = 0.2 * 742.14 * 20.0;
         for step in 0..600 {
             let advance = acceleration * (step as f32 + 0.5) * 5e-5 * 5e-5;
-            form.step(&turned(advance), 20.0, &reference, 14.0);
+            form.step(&injections, &turned(advance), 20.0, &reference, 14.0);
         }
         assert!(form.exhausted() > 500, "{}", form.exhausted());
         assert!(!form.stuck());

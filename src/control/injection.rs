@@ -34,22 +34,42 @@ pub struct Injection<S: Scalar>(S::Table);
 /// should not be asked to resolve.
 pub const MAX_BETA: f32 = 2000.0;
 
+/// The injections of a controller's first and second channel.
+///
+/// They are large, and so apart from the controllers, which are passed on while they are built; these are filled where they are.
+#[derive(Clone, Debug)]
+pub(crate) struct Injections<S: Scalar> {
+    /// Of the disturbance.
+    pub first: Injection<S>,
+    /// Of what the armature's model lacks.
+    pub second: Injection<S>,
+}
+
+impl<S: Scalar> Injections<S> {
+    /// Of a controller that has none.
+    pub const NONE: Self = Self { first: Injection::NONE, second: Injection::NONE };
+}
+
 impl<S: Scalar> Injection<S> {
+    /// Nothing tabulated yet.
+    pub const NONE: Self = Self(S::NO_TABLE);
+
     /// Tabulates g for `beta` = h·k/ε, from 0 to [`MAX_BETA`] (the caller checks), and the boundary layer ε, named `field`, of a
     /// signal with this base.
-    pub fn new(
+    pub fn tabulate(
+        &mut self,
         field: &'static str,
         beta: f32,
         layer: f32,
         base: Base,
-    ) -> Result<Self, ConfigError> {
+    ) -> Result<(), ConfigError> {
         // Where one quadratic from zero starts to err, and where tanh is 1 to within 4e-5; found by the error tests.
         let start = [0.65 * beta - 10.0, 0.85 * beta - 27.0, 0.92 * beta - 70.0]
             .into_iter()
             .fold(0.25 * beta, f32::max);
         let value = |v| implicit_tanh(v, beta);
         let curve = Curve { start, end: beta + 5.5, unit: layer, value: &value };
-        Ok(Self(S::table(field, &curve, base)?))
+        S::tabulate(&mut self.0, field, &curve, base)
     }
 
     /// g (a ratio) of the mismatch σ, in the unit of ε; within ±1e20 of that.
@@ -101,7 +121,9 @@ mod tests {
     const BASE: Base = Base(20_000.0);
 
     fn injection<S: Scalar>(beta: f32) -> Injection<S> {
-        Injection::new("layer", beta, 1.0, BASE).expect("valid")
+        let mut injection = Injection::NONE;
+        injection.tabulate("layer", beta, 1.0, BASE).expect("valid");
+        injection
     }
 
     fn worst_error<S: Scalar>(beta: f32) -> f64 {

@@ -21,6 +21,7 @@ use crate::schema::{choice, group};
 use crate::sense::{Measured, Shaft};
 use crate::trajectory::Reference;
 use drive_form::DriveForm;
+use injection::Injections;
 use ladrc::Ladrc;
 use paper::Paper;
 use pi::CascadedPi;
@@ -142,15 +143,19 @@ pub(crate) enum Controller<S: Scalar> {
 }
 
 impl<S: Scalar> Controller<S> {
-    /// Builds a controller. Refuses gains outside their range, naming the field.
-    pub fn new(config: &ControlConfig, setting: &Setting) -> Result<Self, ConfigError> {
+    /// Builds a controller and tabulates its injections, if it has any. Refuses gains outside their range, naming the field.
+    pub fn new(
+        config: &ControlConfig,
+        setting: &Setting,
+        injections: &mut Injections<S>,
+    ) -> Result<Self, ConfigError> {
         setting.timing.check()?;
         match config {
             ControlConfig::Paper(config) => {
-                Self::apart(|| Ok(Self::Paper(Paper::new(config, setting)?)))
+                Self::apart(|| Ok(Self::Paper(Paper::new(config, setting, injections)?)))
             }
             ControlConfig::Drive(config) => {
-                Self::apart(|| Ok(Self::Drive(DriveForm::new(config, setting)?)))
+                Self::apart(|| Ok(Self::Drive(DriveForm::new(config, setting, injections)?)))
             }
             ControlConfig::Pi(config) => {
                 Self::apart(|| Ok(Self::Pi(CascadedPi::new(config, setting)?)))
@@ -168,19 +173,24 @@ impl<S: Scalar> Controller<S> {
     }
 
     /// Follows the motor at a sample while the bridge is off. Gives the speed (rad/s).
-    pub fn follow(&mut self, measured: &Measured<S>) -> S {
+    pub fn follow(&mut self, injections: &Injections<S>, measured: &Measured<S>) -> S {
         match self {
             Self::Paper(paper) => paper.follow(measured),
-            Self::Drive(drive) => drive.follow(measured),
+            Self::Drive(drive) => drive.follow(injections, measured),
             Self::Pi(pi) => pi.follow(measured),
             Self::Ladrc(ladrc) => ladrc.follow(measured),
         }
     }
 
     /// Starts at a sample, of which [`step`](Self::step) is to be told next, from what it followed before.
-    pub fn start(&mut self, measured: &Measured<S>, reference: &Reference<S>) {
+    pub fn start(
+        &mut self,
+        injections: &Injections<S>,
+        measured: &Measured<S>,
+        reference: &Reference<S>,
+    ) {
         match self {
-            Self::Paper(paper) => paper.start(measured, reference),
+            Self::Paper(paper) => paper.start(injections, measured, reference),
             Self::Drive(drive) => drive.start(measured, reference),
             Self::Pi(pi) => pi.start(measured, reference),
             Self::Ladrc(ladrc) => ladrc.start(measured, reference),
@@ -201,6 +211,7 @@ impl<S: Scalar> Controller<S> {
     /// next: from the speed that it was told (rad/s) and the voltage that acts (V).
     pub fn resume(
         &mut self,
+        injections: &Injections<S>,
         speed: S,
         measured: &Measured<S>,
         reference: &Reference<S>,
@@ -208,7 +219,7 @@ impl<S: Scalar> Controller<S> {
     ) {
         match self {
             Self::Paper(paper) => paper.resume(speed, measured, reference),
-            Self::Drive(drive) => drive.resume(measured, reference, acting),
+            Self::Drive(drive) => drive.resume(injections, measured, reference, acting),
             // They start with the current that they find as what holds the speed.
             Self::Pi(pi) => pi.start(measured, reference),
             Self::Ladrc(ladrc) => ladrc.start(measured, reference),
@@ -219,6 +230,7 @@ impl<S: Scalar> Controller<S> {
     #[inline]
     pub fn step(
         &mut self,
+        injections: &Injections<S>,
         measured: &Measured<S>,
         reference: &Reference<S>,
         acting: S,
@@ -229,9 +241,12 @@ impl<S: Scalar> Controller<S> {
             exhausted,
         };
         match self {
-            Self::Paper(paper) => decision(paper.step(measured, reference), paper.signals(), 0),
+            Self::Paper(paper) => {
+                decision(paper.step(injections, measured, reference), paper.signals(), 0)
+            }
             Self::Drive(drive) => {
-                let voltage = drive.step(&measured.rotation, measured.current, reference, acting);
+                let Measured { rotation, current, .. } = measured;
+                let voltage = drive.step(injections, rotation, *current, reference, acting);
                 decision(voltage, drive.signals(), drive.exhausted())
             }
             Self::Pi(pi) => decision(pi.step(measured, reference, acting), pi.signals(), 0),

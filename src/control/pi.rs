@@ -398,6 +398,7 @@ impl<S: Scalar> CurrentLoop<S> {
 /// A motor, discretised exactly in f64, that plays with a controller at 20 kHz.
 #[cfg(test)]
 pub(super) mod rig {
+    use crate::control::injection::Injections;
     use crate::control::{ControlConfig, Controller, Ranges, Setting, Timing};
     use crate::motor::{Coefficients, MotorParameters};
     use crate::per_unit::Bases;
@@ -456,6 +457,9 @@ pub(super) mod rig {
         wanted: f32,
     }
 
+    /// These controllers have none.
+    const NONE: &Injections<f32> = &Injections::NONE;
+
     impl Rig {
         /// A controller that knows the paper's motor, on one with these parameters.
         pub fn new(config: &ControlConfig, motor: MotorParameters) -> Self {
@@ -471,8 +475,9 @@ pub(super) mod rig {
                 ranges: &RANGES,
                 bases: &Bases::NONE,
             };
+            let controller = Controller::new(config, &setting, &mut NONE.clone());
             Ok(Self {
-                controller: Controller::new(config, &setting).map_err(|error| error.field)?,
+                controller: controller.map_err(|error| error.field)?,
                 state: [0.0; 5],
                 bus: 22.0,
                 inertia: f64::from(motor.inertia),
@@ -515,7 +520,7 @@ pub(super) mod rig {
 
         /// A period of a motor that turns freely: the bridge is off.
         pub fn coast(&mut self) {
-            self.controller.follow(&self.measured());
+            self.controller.follow(NONE, &self.measured());
             self.state[3] = self.speed() * f64::from(MotorParameters::PAPER.back_emf_constant);
             self.advance();
             self.state[2] = 0.0;
@@ -530,13 +535,13 @@ pub(super) mod rig {
                 bus_voltage: 24.0,
             };
             let reference = Reference::constant(-measured.speed);
-            let decision = self.controller.step(&measured, &reference, 28.0 * acting);
+            let decision = self.controller.step(NONE, &measured, &reference, 28.0 * acting);
             assert!(decision.voltage.is_finite());
         }
 
         pub fn start(&mut self) {
             let reference = Reference::constant(self.speed() as f32);
-            self.controller.start(&self.measured(), &reference);
+            self.controller.start(NONE, &self.measured(), &reference);
             // As the drive tells it.
             self.wanted = self.speed() as f32 * MotorParameters::PAPER.back_emf_constant;
         }
@@ -544,8 +549,10 @@ pub(super) mod rig {
         /// A period of control.
         pub fn period(&mut self, reference: &Reference<f32>) {
             self.state[3] = f64::from(self.wanted).clamp(-self.bus, self.bus);
-            self.wanted =
-                self.controller.step(&self.measured(), reference, self.state[3] as f32).voltage;
+            self.wanted = self
+                .controller
+                .step(NONE, &self.measured(), reference, self.state[3] as f32)
+                .voltage;
             assert!(self.wanted.is_finite());
             self.advance();
         }

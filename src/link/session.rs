@@ -137,6 +137,8 @@ fn answer<'n>(
             if beyond_control {
                 check_off(device)?;
                 device.change_parameters(&parameters)?;
+            } else if device.status().mode == Mode::Commissioning {
+                return Err(Refusal::Mode(Mode::Commissioning));
             } else {
                 device.change_controller(&parameters.drive.control)?;
             }

@@ -178,6 +178,10 @@ impl Scalar for Q31 {
     type Table = Table;
 
     const ZERO: Self = Self(0);
+    const NO_TABLE: Table = Table {
+        per_unit: Steep { mantissas: [0], down: 0, limit: 0, up: 0 },
+        segments: [Segment { value: 0, slope: 0, curvature: 0 }; SEGMENTS],
+    };
     const ANY_TIME: bool = false;
 
     fn from_f32(value: f32, base: Base) -> Self {
@@ -250,10 +254,16 @@ impl Scalar for Q31 {
         Self(Self(sum).limited(Self(gains.limit)).0 << (gains.up & 31))
     }
 
-    fn table(field: &'static str, curve: &Curve, base: Base) -> Result<Table, ConfigError> {
+    fn tabulate(
+        table: &mut Table,
+        field: &'static str,
+        curve: &Curve,
+        base: Base,
+    ) -> Result<(), ConfigError> {
         let width = curve.end / (SEGMENTS - 1) as f32;
-        let mut segments = [Segment { value: ONE, slope: 0, curvature: 0 }; SEGMENTS];
-        for (index, segment) in segments.iter_mut().enumerate().take(SEGMENTS - 1) {
+        table.per_unit = Self::steep(field, [(1.0 / (width * curve.unit), base)], POSITION)?;
+        table.segments[SEGMENTS - 1] = Segment { value: ONE, slope: 0, curvature: 0 };
+        for (index, segment) in table.segments.iter_mut().enumerate().take(SEGMENTS - 1) {
             let node = |position: f32| {
                 if position >= (SEGMENTS - 1) as f32 {
                     1.0
@@ -273,8 +283,7 @@ impl Scalar for Q31 {
                 curvature,
             };
         }
-        let per_unit = Self::steep(field, [(1.0 / (width * curve.unit), base)], POSITION)?;
-        Ok(Table { per_unit, segments })
+        Ok(())
     }
 
     #[inline]

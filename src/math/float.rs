@@ -31,6 +31,13 @@ impl Scalar for f32 {
     type Table = Table;
 
     const ZERO: Self = 0.0;
+    const NO_TABLE: Table = Table {
+        per_unit: 0.0,
+        origin: 0.0,
+        constant: [0.0; SEGMENTS],
+        linear: [0.0; SEGMENTS],
+        quadratic: [0.0; SEGMENTS],
+    };
     const ANY_TIME: bool = true;
 
     fn from_f32(value: f32, _base: Base) -> Self {
@@ -99,22 +106,22 @@ impl Scalar for f32 {
         Self::combine(gains, signals)
     }
 
-    fn table(_field: &'static str, curve: &Curve, _base: Base) -> Result<Table, ConfigError> {
+    fn tabulate(
+        table: &mut Table,
+        _field: &'static str,
+        curve: &Curve,
+        _base: Base,
+    ) -> Result<(), ConfigError> {
         let graded = Graded::new(curve);
-        let mut table = Table {
-            per_unit: SEGMENT * graded.per_unit,
-            origin: SEGMENT * graded.origin,
-            constant: [0.0; SEGMENTS],
-            linear: [0.0; SEGMENTS],
-            quadratic: [0.0; SEGMENTS],
-        };
+        table.per_unit = SEGMENT * graded.per_unit;
+        table.origin = SEGMENT * graded.origin;
         for index in 0..SEGMENTS {
             let [constant, linear, quadratic] = graded.segment(index);
             table.constant[index] = constant;
             table.linear[index] = linear / SEGMENT;
             table.quadratic[index] = quadratic / (SEGMENT * SEGMENT);
         }
-        Ok(table)
+        Ok(())
     }
 
     #[inline]

@@ -62,6 +62,9 @@ pub trait Scalar:
     /// The signal 0.
     const ZERO: Self;
 
+    /// A table that was not [filled](Self::tabulate).
+    const NO_TABLE: Self::Table;
+
     /// Whether [`over`](Self::over) takes any time: in fixed point only the one that the bases were chosen for.
     const ANY_TIME: bool;
 
@@ -110,8 +113,13 @@ pub trait Scalar:
     /// Σ gain·signal as by [`combine`](Self::combine), but saturating.
     fn amplify<const N: usize>(gains: &Self::Steep<N>, signals: [Self; N]) -> Self;
 
-    /// The table of a curve of a signal; its values are in [`Base::RATIO`].
-    fn table(field: &'static str, curve: &Curve, base: Base) -> Result<Self::Table, ConfigError>;
+    /// Fills a table, where it is, with a curve of a signal; its values are in [`Base::RATIO`].
+    fn tabulate(
+        table: &mut Self::Table,
+        field: &'static str,
+        curve: &Curve,
+        base: Base,
+    ) -> Result<(), ConfigError>;
 
     /// The curve's value at a signal. The time does not depend on the signal.
     fn look_up(table: &Self::Table, signal: Self) -> Self;

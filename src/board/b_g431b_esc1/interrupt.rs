@@ -10,13 +10,13 @@ use super::encoder::Encoder;
 use crate::board::handed_over::HandedOver;
 use crate::board::slot::Slot;
 use crate::commission::{Commission, Evidence, Progress};
-use crate::drive::ReadyController;
+use crate::config::ConfigError;
 use crate::fault::{ActiveLimits, Fault, Faults};
 use crate::hal::{Codes, Sample};
-use crate::link::message::{Status, Telemetry};
+use crate::link::message::{Refusal, Status, Telemetry};
 use crate::parameters::Parameters;
 use crate::shunts::Shunts;
-use crate::supervisor::{Command, Conditions, Mode, Output, Refusal, Supervisor};
+use crate::supervisor::{self, Command, Conditions, Mode, Output, Supervisor};
 use core::sync::atomic::{AtomicU32, Ordering};
 use cortex_m::peripheral::{DWT, NVIC};
 use embassy_stm32::interrupt;
@@ -26,7 +26,7 @@ use embassy_stm32::interrupt::InterruptExt;
 #[derive(Clone, Copy, Debug)]
 pub struct Answer {
     /// Whether it was taken.
-    pub result: Result<(), Refusal>,
+    pub result: Result<(), supervisor::Refusal>,
     /// What the drive is doing since.
     pub status: Status,
     /// How far commissioning is.
@@ -36,18 +36,26 @@ pub struct Answer {
 /// What the drive is told.
 enum Order {
     Command(Command),
-    /// Measure the motor with what is in [`COMMISSION`].
+    /// Measure the motor with what is [prepared](Prepared::Commission).
     Commission,
 }
 
-/// What takes the place of what there is.
-#[derive(Clone, Debug)]
-#[allow(clippy::large_enum_variant, reason = "both are large")]
+/// What is to be taken of the next supervisor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Change {
-    /// Another controller, at any time.
-    Controller(ReadyController<f32>),
-    /// Another supervisor, with outputs off. Heat and faults go on.
+    /// Its controller, at any time.
+    Controller,
+    /// All of it, with outputs off. Heat and faults go on.
+    Supervisor,
+}
+
+/// What a task has prepared for the interrupt. Never both, which saves the memory of one.
+#[allow(clippy::large_enum_variant, reason = "both are large")]
+enum Prepared {
+    /// What the next change takes from.
     Supervisor(Supervisor<f32>),
+    /// What measures the motor: the interrupt's in mode `Commissioning`, tasks' in all others.
+    Commission(Commission),
 }
 
 static CONTROL: HandedOver<Control> = HandedOver::new();
@@ -55,8 +63,7 @@ static CONTROL: HandedOver<Control> = HandedOver::new();
 static ORDER: Slot<Order> = Slot::new();
 static ANSWER: Slot<Answer> = Slot::new();
 static CHANGE: Slot<Change> = Slot::new();
-/// What measures the motor: the interrupt's in mode `Commissioning`, tasks' in all others.
-static COMMISSION: Slot<Commission> = Slot::new();
+static PREPARED: Slot<Prepared> = Slot::new();
 static STATUS: Slot<Status> = Slot::new();
 static TELEMETRY: Slot<Telemetry> = Slot::new();
 
@@ -73,17 +80,25 @@ pub fn command(command: Command) -> Option<Answer> {
 
 /// Measures the motor. The drive is ready. Nothing if there is no answer.
 pub fn commission(commission: Commission) -> Option<Answer> {
-    COMMISSION.discard();
-    if COMMISSION.put(commission) { give(Order::Commission) } else { None }
+    PREPARED.discard();
+    if PREPARED.put(Prepared::Commission(commission)) { give(Order::Commission) } else { None }
 }
 
-/// What was measured, if anything. Nothing is being measured.
+/// What was measured, if anything and if no change came since. Nothing is being measured.
 pub fn evidence() -> Option<Evidence> {
-    COMMISSION.lend(|commission| {
+    lend_commission(|commission| {
         // Whatever ended it.
         commission.abort();
         commission.evidence()
     })
+}
+
+fn lend_commission<R>(user: impl FnOnce(&mut Commission) -> R) -> Option<R> {
+    let lent = PREPARED.lend(|prepared| match prepared {
+        Prepared::Commission(commission) => Some(user(commission)),
+        Prepared::Supervisor(_) => None,
+    });
+    lent.flatten()
 }
 
 fn give(order: Order) -> Option<Answer> {
@@ -101,10 +116,22 @@ fn give(order: Order) -> Option<Answer> {
     answer
 }
 
-/// Changes controller or supervisor from the next period on. Tells whether there was room: not before the last
-/// change was made.
-pub fn change(change: Change) -> bool {
-    CHANGE.put(change)
+/// Builds the next supervisor, which [`start`] or [`change`] take. Not before the last change was made, nor while the motor is measured.
+// Not inlined: a caller would keep the stack of a supervisor while it calls on.
+#[inline(never)]
+pub(super) fn prepare(parameters: &Parameters) -> Result<(), ConfigError> {
+    PREPARED.discard();
+    PREPARED.fill(|| super::build(parameters).map(Prepared::Supervisor))
+}
+
+/// Changes controller or supervisor from the next period on to those of parameters.
+pub fn change(change: Change, parameters: &Parameters) -> Result<(), Refusal<'static>> {
+    if CHANGE.is_full() {
+        return Err(Refusal::Busy);
+    }
+    prepare(parameters)?;
+    CHANGE.put(change);
+    Ok(())
 }
 
 /// What the drive is doing, if that has changed.
@@ -150,14 +177,11 @@ struct Control {
     started: u32,
 }
 
-/// Hands everything to the interrupt and enables it, with faults that there have been. Tells whether it runs.
-pub(super) fn start(
-    parameters: &Parameters,
-    faults: [Option<Fault>; 2],
-    bridge: Bridge,
-    encoder: Encoder,
-) -> bool {
-    let Ok(supervisor) = super::build(parameters) else { return false };
+/// Hands everything and the supervisor that was [prepared](prepare) to the interrupt, with faults that there have been, and enables it.
+/// Tells whether it runs.
+#[inline(never)]
+pub(super) fn start(faults: [Option<Fault>; 3], bridge: Bridge, encoder: Encoder) -> bool {
+    let Some(Prepared::Supervisor(supervisor)) = PREPARED.take() else { return false };
     let control = Control {
         bridge,
         encoder,
@@ -262,27 +286,35 @@ impl Control {
         ANSWER.put(Answer { result, status: status_of(&self.supervisor), progress });
     }
 
-    /// A period of commissioning, out of slower memory: it has the time. Without what measures outputs are off.
+    /// A period of commissioning, out of slower memory: it has the time. Without what measures it is over.
     #[cold]
     #[inline(never)]
     fn commission(&mut self, sample: &Sample<f32>) -> Output<f32> {
         let supervisor = &mut self.supervisor;
-        COMMISSION.lend(|commission| supervisor.measure(sample, commission)).unwrap_or(Output::Off)
+        lend_commission(|commission| supervisor.measure(sample, commission)).unwrap_or_else(|| {
+            // Never refused: it measures.
+            let _ = self.supervisor.command(Command::Off);
+            Output::Off
+        })
     }
 
     #[cold]
     #[inline(never)]
     fn change(&mut self) {
-        CHANGE.lend(|change| match change {
-            Change::Controller(controller) => self.supervisor.change_controller(controller),
-            Change::Supervisor(supervisor) if self.supervisor.output() == Output::Off => {
-                supervisor.succeed(&self.supervisor);
-                core::mem::swap(&mut self.supervisor, supervisor);
+        let Some(change) = CHANGE.take() else { return };
+        PREPARED.lend(|prepared| match (change, prepared) {
+            (Change::Controller, Prepared::Supervisor(next)) => {
+                self.supervisor.take_controller(next);
+            }
+            (Change::Supervisor, Prepared::Supervisor(next))
+                if self.supervisor.output() == Output::Off =>
+            {
+                next.succeed(&self.supervisor);
+                core::mem::swap(&mut self.supervisor, next);
             }
             // Armed in the meantime: the parameters in force stay.
-            Change::Supervisor(_) => {}
+            _ => {}
         });
-        CHANGE.discard();
     }
 
     fn tell_status(&mut self) {
@@ -327,7 +359,7 @@ impl Control {
 #[cold]
 #[inline(never)]
 fn progress() -> Progress {
-    COMMISSION.lend(|commission| commission.progress()).unwrap_or(Progress::OVER)
+    lend_commission(|commission| commission.progress()).unwrap_or(Progress::OVER)
 }
 
 fn status_of(supervisor: &Supervisor<f32>) -> Status {

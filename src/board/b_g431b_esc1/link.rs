@@ -5,10 +5,10 @@
 
 use super::interrupt::Change;
 use super::parameter_flash::{ParameterFlash, REGION};
-use super::{build, defaults, interrupt};
+use super::{defaults, interrupt};
 use crate::commission::{Commission, Evidence, Nameplate, Progress};
 use crate::control::ControlConfig;
-use crate::drive::{DriveConfig, ReadyController};
+use crate::drive::DriveConfig;
 use crate::fault::{Fault, Faults};
 use crate::link::frame::LONGEST;
 use crate::link::message::{Identity, Refusal, Status, Telemetry, VERSION};
@@ -52,22 +52,30 @@ pub struct Link {
 impl Link {
     /// Loads the parameters: those that were saved, or else the defaults, with a fault if there is something wrong with the saved
     /// ones.
+    // Not inlined: a caller would keep this stack while it calls on.
+    #[inline(never)]
     pub(super) fn load(flash: Peri<'static, peripherals::FLASH>) -> (Self, Option<Fault>) {
         let flash = ParameterFlash(Flash::new_blocking(flash));
         let mut store = ParameterStore::new(flash, REGION).ok();
         let defaults = defaults::parameters();
         let loaded = store.as_mut().map(|store| store.load(&defaults));
         let (parameters, fault) = match loaded {
-            Some(loaded) if loaded.origin != Origin::Unreadable => {
-                match build(&loaded.parameters) {
-                    Ok(_) => (loaded.parameters, None),
-                    Err(_) => (defaults, Some(Fault::BadParameters)),
-                }
-            }
+            Some(loaded) if loaded.origin != Origin::Unreadable => (loaded.parameters, None),
             _ => (defaults, Some(Fault::BadParameters)),
         };
         let status = Status { mode: Mode::Boot, faults: Faults::NONE, limits: Default::default() };
         (Self { status, progress: Progress::OVER, parameters, store }, fault)
+    }
+
+    /// [Prepares](interrupt::prepare) the supervisor of the parameters; that of the defaults, and a fault, where they are refused.
+    #[inline(never)]
+    pub(super) fn prepare(&mut self) -> Option<Fault> {
+        if interrupt::prepare(&self.parameters).is_ok() {
+            return None;
+        }
+        self.parameters = defaults::parameters();
+        let refused = interrupt::prepare(&self.parameters).is_err();
+        Some(if refused { Fault::SelfTest } else { Fault::BadParameters })
     }
 
     /// For when the control interrupt does not run.
@@ -126,10 +134,13 @@ impl Link {
         self.progress = progress;
         Ok(result?)
     }
-}
 
-fn change(change: Change) -> Result<(), Refusal<'static>> {
-    if interrupt::change(change) { Ok(()) } else { Err(Refusal::Busy) }
+    #[inline(never)]
+    fn change(&mut self, change: Change, to: &Parameters) -> Result<(), Refusal<'static>> {
+        interrupt::change(change, to)?;
+        self.parameters = *to;
+        Ok(())
+    }
 }
 
 impl Device for Link {
@@ -157,15 +168,11 @@ impl Device for Link {
 
     fn change_controller(&mut self, control: &ControlConfig) -> Result<(), Refusal<'static>> {
         let drive = DriveConfig { control: *control, ..self.parameters.drive };
-        change(Change::Controller(ReadyController::new(&drive)?))?;
-        self.parameters.drive = drive;
-        Ok(())
+        self.change(Change::Controller, &Parameters { drive, ..self.parameters })
     }
 
     fn change_parameters(&mut self, parameters: &Parameters) -> Result<(), Refusal<'static>> {
-        change(Change::Supervisor(build(parameters)?))?;
-        self.parameters = *parameters;
-        Ok(())
+        self.change(Change::Supervisor, parameters)
     }
 
     fn save_parameters(&mut self) -> Result<(), Refusal<'static>> {

@@ -34,7 +34,6 @@ mod safety;
 use crate::config::{ConfigError, require};
 use crate::drive::DriveConfig;
 use crate::fault::Fault;
-use crate::link::session::Device;
 use crate::parameters::Parameters;
 use crate::sense::Sensors;
 use crate::supervisor::Supervisor;
@@ -89,11 +88,10 @@ pub fn start() -> Board {
     // The clock of embassy's tasks gives way to the control interrupt.
     embassy_stm32::interrupt::TIM1_BRK_TIM15.set_priority(Priority::P8);
 
-    let (mut link, bad_parameters) = Link::load(p.FLASH);
-    let faults = [watchdog_reset, bad_parameters];
-    let is_running = is_converting
-        && bridge
-            .is_some_and(|bridge| interrupt::start(link.parameters(), faults, bridge, encoder));
+    let (mut link, unreadable) = Link::load(p.FLASH);
+    let faults = [watchdog_reset, unreadable, link.prepare()];
+    let is_running =
+        is_converting && bridge.is_some_and(|bridge| interrupt::start(faults, bridge, encoder));
     if !is_running {
         link.is_dead(Fault::SelfTest);
     }

@@ -61,7 +61,7 @@ pub(super) struct ChannelConfig {
 /// the estimate of the unknown rate. In an observer the injection is part of the model, so it is taken [off the
 /// mismatch](Self::correct) at the next step; where it acts on the plant, the plant's answer does that.
 #[derive(Clone, Debug)]
-#[repr(C)] // What every step loads comes first, in reach of short loads; the table is last.
+#[repr(C)] // What every step loads comes first, in reach of short loads.
 pub(super) struct Channel<S: Scalar, const SHIFT: u32> {
     /// The signal at the last sample.
     before: S,
@@ -76,7 +76,6 @@ pub(super) struct Channel<S: Scalar, const SHIFT: u32> {
     /// Time that the rate at a sample counts in the mismatch at the next.
     time_after: S::Time,
     limit: S,
-    injection: Injection<S>,
     reach: S::Gains<1>,
     start: Start,
     layer: f32,
@@ -85,7 +84,8 @@ pub(super) struct Channel<S: Scalar, const SHIFT: u32> {
 }
 
 impl<S: Scalar, const SHIFT: u32> Channel<S, SHIFT> {
-    pub fn new(config: &ChannelConfig) -> Result<Self, ConfigError> {
+    /// Builds a channel and tabulates its injection.
+    pub fn new(config: &ChannelConfig, injection: &mut Injection<S>) -> Result<Self, ConfigError> {
         let ChannelConfig { strength, layer, layer_field, period, horizon, range, base, .. } =
             *config;
         let beta = horizon * strength / layer;
@@ -112,6 +112,7 @@ impl<S: Scalar, const SHIFT: u32> Channel<S, SHIFT> {
             "must be implicit in fixed point",
             0.0,
         )?;
+        injection.tabulate(layer_field, beta, layer, base)?;
         Ok(Self {
             before: S::ZERO,
             memory: S::ZERO,
@@ -120,7 +121,6 @@ impl<S: Scalar, const SHIFT: u32> Channel<S, SHIFT> {
             time_now: S::time(time_now),
             time_after: S::time(period - time_now),
             limit: S::constant(layer_field, range + beta * layer, base)?,
-            injection: Injection::new(layer_field, beta, layer, base)?,
             reach: S::gains(layer_field, [(-beta * layer, Base::RATIO)], base)?,
             start: config.start,
             layer,
@@ -151,10 +151,10 @@ impl<S: Scalar, const SHIFT: u32> Channel<S, SHIFT> {
 
     /// One step: the signal and its modelled rate at this sample → the injection g, within ±1.
     #[inline]
-    pub fn step(&mut self, signal: S, rate: S) -> S {
+    pub fn step(&mut self, injection: &Injection<S>, signal: S, rate: S) -> S {
         let growth = (signal - self.before) - rate.over::<SHIFT>(self.time_now);
         self.mismatch = (self.memory + growth).limited(self.limit);
-        self.value = self.injection.value(self.mismatch);
+        self.value = injection.value(self.mismatch);
         self.before = signal;
         self.memory = self.mismatch - rate.over::<SHIFT>(self.time_after);
         self.value

@@ -19,6 +19,7 @@ use super::super::Timing;
 use super::channel::{Channel, ChannelConfig, Start};
 use super::config::{Law, PaperConfig};
 use crate::config::ConfigError;
+use crate::control::injection::Injections;
 use crate::math::{Base, Scalar};
 use crate::per_unit::{ACCELERATION, Bases, JERK};
 use crate::trajectory::Reference;
@@ -46,6 +47,7 @@ impl<S: Scalar> Estimator<S> {
         timing: &Timing,
         (speed_range, z2_range): (f32, f32),
         bases: &Bases,
+        injections: &mut Injections<S>,
     ) -> Result<Self, ConfigError> {
         let &Bases { speed, acceleration, .. } = bases;
         let gains = &config.gains;
@@ -78,8 +80,8 @@ impl<S: Scalar> Estimator<S> {
             strength: gains.k1,
             acceleration,
             period: S::time(period),
-            first: Channel::new(&first)?,
-            second: Channel::new(&second)?,
+            first: Channel::new(&first, &mut injections.first)?,
+            second: Channel::new(&second, &mut injections.second)?,
         })
     }
 
@@ -116,17 +118,24 @@ impl<S: Scalar> Estimator<S> {
 
     /// d̂ (rad/s²), from the speed ω, the acceleration −a1·ω + a2·i and the reference.
     #[inline]
-    pub fn disturbance(&mut self, speed: S, modelled: S, reference: &Reference<S>) -> S {
+    pub fn disturbance(
+        &mut self,
+        injections: &Injections<S>,
+        speed: S,
+        modelled: S,
+        reference: &Reference<S>,
+    ) -> S {
         let (signal, rate) = self.watched(speed, modelled, reference);
-        let disturbance = S::combine(&self.k1, [self.first.step(signal, rate)]);
+        let value = self.first.step(&injections.first, signal, rate);
+        let disturbance = S::combine(&self.k1, [value]);
         self.first.correct(disturbance.over::<ACCELERATION>(self.period));
         disturbance
     }
 
     /// ζ̂2/k2 = −u2/k2, within ±1, from z2 and the rate −c·z2 − z1 that it is to have.
     #[inline]
-    pub fn lumped(&mut self, z2: S, wanted_rate: S) -> S {
-        self.second.step(z2, wanted_rate)
+    pub fn lumped(&mut self, injections: &Injections<S>, z2: S, wanted_rate: S) -> S {
+        self.second.step(&injections.second, z2, wanted_rate)
     }
 
     /// What the first channel watches, and its modelled rate.

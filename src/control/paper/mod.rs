@@ -8,6 +8,7 @@ mod channel;
 mod config;
 mod estimator;
 
+use super::injection::Injections;
 use super::{Setting, Signals};
 use crate::config::{ConfigError, require};
 use crate::estimate::SpeedEstimator;
@@ -33,7 +34,12 @@ pub(crate) struct Paper<S: Scalar> {
 }
 
 impl<S: Scalar> Paper<S> {
-    pub fn new(config: &PaperConfig, setting: &Setting) -> Result<Self, ConfigError> {
+    /// Builds the controller and tabulates its injections.
+    pub fn new(
+        config: &PaperConfig,
+        setting: &Setting,
+        injections: &mut Injections<S>,
+    ) -> Result<Self, ConfigError> {
         let &Setting { motor, timing, shaft, ranges, bases } = setting;
         let gains = &config.gains;
         gains.check()?;
@@ -50,10 +56,11 @@ impl<S: Scalar> Paper<S> {
             speed: SpeedEstimator::new(&config.speed, shaft, bases)?,
             acceleration: S::ZERO,
             law,
-            // Straight to its place: it is large.
             estimator: match config.law {
                 Law::Backstepping => None,
-                Law::Qsmdo | Law::Qismc => Some(Estimator::new(config, timing, ranges, bases)?),
+                Law::Qsmdo | Law::Qismc => {
+                    Some(Estimator::new(config, timing, ranges, bases, injections)?)
+                }
             },
         })
     }
@@ -65,7 +72,12 @@ impl<S: Scalar> Paper<S> {
     }
 
     /// The estimators start at the sample, with the speed that was last known.
-    pub fn start(&mut self, measured: &Measured<S>, reference: &Reference<S>) {
+    pub fn start(
+        &mut self,
+        injections: &Injections<S>,
+        measured: &Measured<S>,
+        reference: &Reference<S>,
+    ) {
         let Some(estimator) = &mut self.estimator else { return };
         let speed = match self.speed {
             SpeedEstimator::Exact => measured.speed,
@@ -75,7 +87,7 @@ impl<S: Scalar> Paper<S> {
         let z1 = speed - reference.speed;
         estimator.start_disturbance(speed, modelled, reference);
         // The second channel starts from the z2 that the step is going to have.
-        let disturbance = estimator.disturbance(speed, modelled, reference);
+        let disturbance = estimator.disturbance(injections, speed, modelled, reference);
         let z2 = self.law.z2(z1, modelled, reference, disturbance);
         estimator.start_lumped(z2, self.law.z2_rate(z1, z2));
         estimator.start_disturbance(speed, modelled, reference);
@@ -99,21 +111,33 @@ impl<S: Scalar> Paper<S> {
     }
 
     #[inline]
-    pub fn step(&mut self, measured: &Measured<S>, reference: &Reference<S>) -> S {
+    pub fn step(
+        &mut self,
+        injections: &Injections<S>,
+        measured: &Measured<S>,
+        reference: &Reference<S>,
+    ) -> S {
         let speed = self.speed.step(measured, self.acceleration);
-        self.control(speed, measured.current, reference)
+        self.control(injections, speed, measured.current, reference)
     }
 
     // Not inlined where its instructions are counted apart from its caller's.
     #[cfg_attr(feature = "qemu", inline(never))]
-    fn control(&mut self, speed: S, current: S, reference: &Reference<S>) -> S {
+    fn control(
+        &mut self,
+        injections: &Injections<S>,
+        speed: S,
+        current: S,
+        reference: &Reference<S>,
+    ) -> S {
         let z1 = speed - reference.speed;
         let modelled = self.law.modelled_acceleration(speed, current);
         let (z2, disturbance, lumped) = match &mut self.estimator {
             Some(estimator) => {
-                let disturbance = estimator.disturbance(speed, modelled, reference);
+                let disturbance = estimator.disturbance(injections, speed, modelled, reference);
                 let z2 = self.law.z2(z1, modelled, reference, disturbance);
-                (z2, disturbance, estimator.lumped(z2, self.law.z2_rate(z1, z2)))
+                let lumped = estimator.lumped(injections, z2, self.law.z2_rate(z1, z2));
+                (z2, disturbance, lumped)
             }
             None => (self.law.z2(z1, modelled, reference, S::ZERO), S::ZERO, S::ZERO),
         };
