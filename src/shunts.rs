@@ -97,7 +97,8 @@ impl Shunts {
             self.learn(codes);
         }
         let [first, second] = self.differences(codes);
-        (self.zero + second - first).clamp(0, 2 * self.zero) as u16
+        // Not `clamp`, which panics where it cannot see that its bounds are in order.
+        (self.zero + second - first).max(0).min(2 * self.zero) as u16
     }
 
     /// Whether the sensors work.
