@@ -321,6 +321,11 @@ impl<W: World> VirtualBoard<W> {
         self.next = self.now;
     }
 
+    /// The counter of TIM1 stands still from now on, for good.
+    pub fn stop_bridge_timer(&mut self) {
+        self.chip.stop_bridge_timer();
+    }
+
     /// Holds an interrupt's level, or releases it.
     pub fn force_interrupt(&mut self, number: u32, level: Option<bool>) {
         let bit = 1 << number;

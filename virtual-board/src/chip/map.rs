@@ -2,7 +2,7 @@
 
 use super::block::{Access, Unmodelled};
 use super::rcc::Gate;
-use super::{Cause, Chip, adc, comp, dac, dma, opamp, pwr, syscfg, tim, tim1, tim4, usart};
+use super::{Cause, Chip, adc, comp, dac, dma, opamp, pwr, syscfg, tim, tim4, usart};
 use crate::world::World;
 
 /// ADC1; ADC2 and what both share are 0x100 and 0x300 above it.
@@ -207,7 +207,7 @@ impl<W: World> Chip<W> {
             self.usart = usart::Usart::new(usart.into_line());
         }
         if self.rcc.is_in_reset(Gate::TIM1) {
-            self.tim1 = tim1::Tim1::new();
+            self.tim1.reset();
             self.update_gates();
         }
     }
