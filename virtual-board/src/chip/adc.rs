@@ -107,6 +107,11 @@ impl Adc {
         }
     }
 
+    /// Whether it is enabled.
+    pub fn is_enabled(&self) -> bool {
+        bit(self.cr, ADEN)
+    }
+
     fn channel(&self, rank: usize) -> u32 {
         field(self.jsqr, 9 + 6 * rank as u32, 5)
     }
@@ -183,7 +188,8 @@ impl Adc {
             SMPR1 => store(&mut self.smpr[0], value, 0x3fff_ffff),
             SMPR2 => store(&mut self.smpr[1], value, 0x07ff_ffff),
             JSQR if value & 0x1fc != BY_TRGO2 => Err(Unmodelled),
-            JSQR => store(&mut self.jsqr, value, !0),
+            // JL, JEXTSEL, JEXTEN, JSQ1 to JSQ4
+            JSQR => store(&mut self.jsqr, value, 0xfbef_bfff),
             _ => Err(Unmodelled),
         }
     }
@@ -216,7 +222,12 @@ impl Adc {
             self.ready = now + READY;
             self.is_ready_cleared = false;
         }
-        if rises(JADSTART) && (!bit(was, ADEN) || now < self.ready) {
+        // Without a synchronous clock nothing would follow the trigger.
+        if rises(JADSTART) && (!bit(was, ADEN) || now < self.ready || cycle.is_none()) {
+            return Err(Unmodelled);
+        }
+        let stays = bit(value, ADVREGEN) && !bit(value, DEEPPWD);
+        if self.is_enabled() && !stays {
             return Err(Unmodelled);
         }
         let kept = was & (1 << ADEN | 1 << JADSTART | 1 << ADCAL);

@@ -178,6 +178,10 @@ impl Rcc {
             3 if !self.is_crystal_broken => HSE,
             _ => return None,
         };
+        // PLLREN
+        if !bit(self.pllcfgr, 24) {
+            return None;
+        }
         let divisor = u64::from(field(self.pllcfgr, 4, 4) + 1);
         let multiplier = u64::from(field(self.pllcfgr, 8, 7));
         let output = 2 * u64::from(field(self.pllcfgr, 25, 2) + 1);
@@ -283,7 +287,8 @@ impl Rcc {
                 match register {
                     RSTR => self.rstr[bus] = value,
                     ENR => self.enr[bus] = value,
-                    _ => self.smenr[bus] = value,
+                    // Clocks go on in sleep, as reset has it.
+                    _ => only(value ^ self.smenr[bus], 0)?,
                 }
                 Ok(())
             }

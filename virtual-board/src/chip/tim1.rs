@@ -544,8 +544,8 @@ impl Tim1 {
     }
 
     fn write_ccer(&mut self, value: u32) -> Access<()> {
-        // CC1E to CC4P
-        only(value, 0x3fff)?;
+        // CC1E to CC3NP: channel 4 has no output that is modelled.
+        only(value, 0x0fff)?;
         // CCxP and CCxNP
         let locked = if self.lock() >= 2 { 0x2aaa } else { 0 };
         self.ccer = self.ccer & locked | value & !locked;
