@@ -405,7 +405,7 @@ fn both_converters_hold_at_the_end_of_their_sampling_time() {
     // OC4REF rises 20 cycles before the trough.
     let trigger = begin + 180 * CYCLE;
     let cycle = 4 * CYCLE;
-    let hold = trigger + 25 * cycle / 8 + 25 * cycle / 2;
+    let hold = trigger + 17 * cycle / 8 + 25 * cycle / 2;
     bench.run(hold - bench.now - 1);
     let looks = |bench: &Bench| {
         let after = bench.chip.world.looks.iter();

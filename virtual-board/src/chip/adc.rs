@@ -29,18 +29,19 @@ const ADRDY: u32 = 0;
 const JEOC: u32 = 5;
 const JEOS: u32 = 6;
 
-/// JSQR: JEXTSEL = 8, TIM1_TRGO2; JEXTEN = 1, rising edge.
+/// JSQR: JEXTSEL = 8, TIM1_TRGO2 (as in embassy-stm32's tables of triggers); JEXTEN = 1, rising edge.
 const BY_TRGO2: u32 = 8 << 2 | 1 << 7;
 
 /// Sampling times by SMPx, in half cycles of the converter's clock.
 const SAMPLING: [Tick; 8] = [5, 13, 25, 49, 95, 185, 495, 1281];
 /// Conversion of 12 bits, in half cycles.
 const CONVERSION: Tick = 25;
-/// From trigger to start, in eighths of a cycle: 3.125 cycles at HCLK / 4 (DS12589, injected trigger conversion latency; from memory).
-const LATENCY: Tick = 25;
-/// Calibration, in cycles (DS12589).
+/// From trigger to start, in eighths of a cycle: 2.125 cycles at HCLK / 4 (t_LATR in the data sheet of the STM32G474, DS12288, table 66, as a
+/// public design review quotes it; 3.125 cycles, t_LATRINJ, are for an injected conversion that aborts a regular one).
+const LATENCY: Tick = 17;
+/// Calibration, in cycles, and from ADEN to ADRDY (of a data sheet, from memory: not found again).
 const CALIBRATION: Tick = 116;
-/// Start-up of the regulator (DS12589: at most 20 µs), and from ADEN to ADRDY.
+/// Start-up of the regulator: at most 20 µs (embassy-stm32's driver waits as long).
 const REGULATOR: Tick = 20 * MICROSECOND;
 const READY: Tick = MICROSECOND;
 

@@ -23,7 +23,7 @@ const MINC: u32 = 7;
 const PSIZE: u32 = 8;
 const MSIZE: u32 = 10;
 
-/// Request lines of DMAMUX1 (RM0440, table of its inputs).
+/// Request lines of DMAMUX1 (RM0440, table of its inputs; as in embassy-stm32's tables).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Request {
     /// TIM1's channel 4.

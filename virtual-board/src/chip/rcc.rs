@@ -38,7 +38,7 @@ const CSSF: u32 = 8;
 /// CSR: clears the reset flags.
 const RMVF: u32 = 23;
 
-/// Start-up times of the crystal and the PLL (DS12589, typical).
+/// Start-up times of the crystal and the PLL: of the size in data sheets, from memory. Nothing depends on them but how long the start takes.
 const CRYSTAL_START: Tick = 2000 * MICROSECOND;
 const PLL_START: Tick = 40 * MICROSECOND;
 

@@ -217,15 +217,10 @@ impl Cpu {
         self.execute(code.insn, bus)
     }
 
-    /// Lets the core's counters go on.
+    /// Lets the core's cycle counter go on.
     fn count(&mut self) {
         if self.sys.cyccnt_enabled() {
             self.sys.tick_cyccnt(self.cycles);
-        }
-        let is_ticking = self.sys.syst_csr & 1 != 0;
-        if is_ticking && self.sys.tick_systick(self.cycles) && self.sys.syst_csr & 2 != 0 {
-            self.sys.set_pending(Exception::SYSTICK, true);
-            self.is_to_arbitrate = true;
         }
     }
 
