@@ -176,13 +176,13 @@ impl Fault {
             Self::Overtemperature => (
                 "over-temperature",
                 "the board was hotter than protection.temperature",
-                "outputs off within 64 periods",
+                "outputs off within 96 periods",
                 "let the board cool down; more air, or less current",
             ),
             Self::TemperatureSensor => (
                 "temperature sensor",
                 "the board's temperature was below -45 °C or above 160 °C: its sensor is broken or not connected",
-                "outputs off within 64 periods",
+                "outputs off within 96 periods",
                 "repair the board",
             ),
             Self::CurrentSensors => (

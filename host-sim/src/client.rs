@@ -31,10 +31,12 @@ pub enum ClientError {
         reason: String,
     },
     /// The connection is gone.
-    #[error("the connection to the drive is lost; a drive talks to one host at a time")]
+    #[error("the connection to the drive is lost")]
     Lost(#[from] std::io::Error),
     /// No answer came.
-    #[error("no answer from the drive within {PATIENCE:?}: is it a drive, and switched on?")]
+    #[error(
+        "no answer from the drive within {PATIENCE:?}: is it a drive, switched on, and not with another host?"
+    )]
     Silent,
     /// The drive has other messages.
     #[error("the drive speaks version {0} of the link's messages, this program {VERSION}")]

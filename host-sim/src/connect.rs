@@ -111,7 +111,7 @@ pub fn run(connect: &Connect) -> Result<Option<Status>> {
 }
 
 /// How long a drive may take to tell of a period.
-const PATIENCE: Duration = Duration::from_millis(500);
+const PATIENCE: Duration = Duration::from_secs(1);
 
 /// Telemetry that is not too much for a serial port (1 in so many periods).
 const DECIMATION: u32 = 200;

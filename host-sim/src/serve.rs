@@ -38,18 +38,12 @@ pub fn serve(
             drive.run_period();
             due += period;
         }
-        let newcomer = match listener.accept() {
-            Ok((stream, _)) => Some(stream),
-            Err(error) if error.kind() == ErrorKind::WouldBlock => None,
-            Err(error) => return Err(error),
-        };
         if host.as_mut().is_some_and(|host| host.talk(drive).is_err()) {
             host = None;
             drive.set_telemetry(0);
         }
-        // One host at a time, as on a cable: another is hung up on.
         if host.is_none() {
-            host = newcomer.map(Host::new).transpose()?;
+            host = next_host(listener)?.map(Host::new).transpose()?;
         }
         if let Some(file) = file
             && kept != drive.flash().operations()
@@ -58,6 +52,16 @@ pub fn serve(
             kept = drive.flash().operations();
         }
         std::thread::sleep(TICK);
+    }
+}
+
+/// The host that has waited longest, if one does. One host at a time, as on a cable: others wait until it leaves, for whoever took over would cut
+/// off the one that keeps the drive alive. One that gave up meanwhile has sent no more than who it asks for.
+pub(crate) fn next_host(listener: &TcpListener) -> Result<Option<TcpStream>> {
+    match listener.accept() {
+        Ok((stream, _)) => Ok(Some(stream)),
+        Err(error) if error.kind() == ErrorKind::WouldBlock => Ok(None),
+        Err(error) => Err(error),
     }
 }
 

@@ -140,7 +140,7 @@ fn served_it_is_commanded_as_a_board_is() {
         client.command(DriveCommand::Arm)?;
         let start = Instant::now();
         while client.status()?.mode != Mode::Running {
-            assert!(start.elapsed() < Duration::from_secs(20));
+            assert!(start.elapsed() < Duration::from_secs(60));
         }
         client.command(DriveCommand::Speed(50.0))?;
         client.have_done(quasidrive::link::message::Request::SetTelemetry(100))?;
@@ -148,7 +148,7 @@ fn served_it_is_commanded_as_a_board_is() {
         while (speed - 50.0_f32).abs() > 1.0 {
             speed = client.telemetry()?.last().map_or(speed, |telemetry| telemetry.speed);
             client.command(DriveCommand::KeepAlive)?;
-            assert!(start.elapsed() < Duration::from_secs(40), "{speed} rad/s");
+            assert!(start.elapsed() < Duration::from_secs(120), "{speed} rad/s");
         }
         client.command(DriveCommand::Off)?;
         Ok(speed)

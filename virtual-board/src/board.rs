@@ -159,7 +159,7 @@ impl<W: World> VirtualBoard<W> {
             return Ok(());
         }
         chip.advance(self.now);
-        if let Some(refused) = chip.refused() {
+        if let Some(refused) = chip.refused().or(self.cpu.refused()) {
             return Err(Stop { refused, pc: self.cpu.last_pc(), time: self.now });
         }
         if self.now >= chip.watchdog() {
@@ -321,6 +321,11 @@ impl<W: World> VirtualBoard<W> {
         self.next = self.now;
     }
 
+    /// The counter of TIM1 stands still from now on, for good.
+    pub fn stop_bridge_timer(&mut self) {
+        self.chip.stop_bridge_timer();
+    }
+
     /// Holds an interrupt's level, or releases it.
     pub fn force_interrupt(&mut self, number: u32, level: Option<bool>) {
         let bit = 1 << number;
@@ -344,5 +349,50 @@ impl<W: World> VirtualBoard<W> {
     /// Moves the stack's pointer to so many bytes above the stack's end: what is pushed next overflows it.
     pub fn exhaust_stack(&mut self, left: u32) {
         self.cpu.set_sp(self.image.stack().start + left);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::chip::Cause;
+    use crate::world::{AnaloguePin, InputPin};
+
+    struct Nothing;
+
+    impl World for Nothing {
+        fn switch(&mut self, _: f64, _: Gates) {}
+
+        fn voltage(&mut self, _: f64, _: AnaloguePin) -> f64 {
+            0.0
+        }
+
+        fn encoder_edges(&mut self, _: f64) -> i64 {
+            0
+        }
+
+        fn level(&mut self, _: f64, _: InputPin) -> bool {
+            false
+        }
+    }
+
+    #[test]
+    fn what_is_not_modelled_stops_with_address_and_program_counter() {
+        // Sleep on exit of the core's, CAN of the microcontroller's.
+        for register in [0xe000_ed10_u32, 0x4000_6400] {
+            let [low, high] = [register as u16, (register >> 16) as u16];
+            let image = Image::of_code(&[
+                0x1000, 0x2000, // stack
+                0x0009, 0x0800, // reset
+                0x4801, // ldr r0, =register
+                0x2102, // movs r1, #2
+                0x6001, // str r1, [r0]
+                0xe7fe, // b .
+                low, high,
+            ]);
+            let stop = VirtualBoard::new(&image, Nothing).run_until(1e-3).expect_err("a stop");
+            let refused = Refused { cause: Cause::Unmodelled, address: register, written: Some(2) };
+            assert_eq!((stop.refused, stop.pc), (refused, crate::chip::flash::BASE + 12));
+        }
     }
 }

@@ -46,6 +46,13 @@ pub struct Image {
 }
 
 impl Image {
+    /// Of half-words from the flash's beginning on.
+    #[cfg(test)]
+    pub(crate) fn of_code(halves: &[u16]) -> Self {
+        let code = halves.iter().flat_map(|half| half.to_le_bytes()).collect();
+        Self { segments: vec![(0, code)], functions: Vec::new(), stack: 0..0 }
+    }
+
     /// From the contents of an ELF file.
     pub fn from_elf(data: &[u8]) -> Result<Self, ImageError> {
         let file = object::read::elf::ElfFile32::<object::Endianness>::parse(data)

@@ -31,7 +31,7 @@
 //! # What is modelled
 //!
 //! What the firmware uses, so that a wrong use shows: RCC, PWR, FLASH, GPIO, TIM1, TIM3, TIM4, TIM15, ADC1, ADC2, OPAMP1 to 3, COMP1, DAC3,
-//! DMA1, DMAMUX1, USART2, IWDG, SYSCFG, DBGMCU; each file says how far. An access to anything else, to bits that are not modelled, or
+//! DMA1, DMAMUX1, USART2, IWDG, SYSCFG, DBGMCU, and the core's own registers; each file says how far. An access to anything else, to bits that are not modelled, or
 //! to a block without a clock [stops](Stop) the emulation with address and program counter. Something that the data sheet forbids
 //! but that hardware may go on with is a [`Violation`](chip::Violation).
 //!
@@ -48,8 +48,7 @@
 //!   while it is above its threshold.
 //! - **Inaccuracy**: crystal and oscillators are exact, converters ideal but for rounding. Noise, offsets and drift are the world's to add.
 //! - **Gate drivers and power stage**: a pin that nobody drives and nothing pulls counts as low. Interlock and delays are the world's.
-//! - **Registers of the core** that are not modelled read as zero, and are not refused: ITM, FPB, DWT but for the cycle counter, which
-//!   stands still while the core sleeps, as on the chip.
+//! - Of the core: SysTick, ITM, FPB, and DWT but for the cycle counter, which stands still while the core sleeps, as on the chip.
 //! - Debugger, other low-power modes than sleep, option bytes, CAN, and all that the firmware does not use.
 
 pub mod board;

@@ -1,5 +1,5 @@
-//! Executed instructions of the control step on an emulated Cortex-M, counted one by one in QEMU's log, and the image's
-//! size.
+//! Executed instructions of the control step on an emulated Cortex-M, counted one by one in QEMU's log; those of the B-G431B-ESC1's whole
+//! control interrupt, counted by the emulated board as it runs the image that is flashed; and the images' size.
 //!
 //! QEMU runs one instruction at a time and logs the address of each one in the counted functions, while the drive runs the
 //! start of the paper's cycle in closed loop. The numbers are exact and repeatable; one that is skipped inside an IT block
@@ -16,6 +16,7 @@ use crate::size::Size;
 use crate::thumb::{Code, Meaning};
 use anyhow::{Context, Result, bail, ensure};
 use object::{Object, ObjectSymbol, SymbolKind};
+use serde_json::Value;
 use std::collections::BTreeSet;
 use std::fmt::Write;
 use std::fs::{self, File};
@@ -28,6 +29,13 @@ const DURATION: &str = "0.05";
 
 /// Largest deviation from the golden table that is not looked into, either way.
 const TOLERANCE: f64 = 0.05;
+
+/// The same on the emulated board (s): 20 000 periods, through the start of the motor and its first speed.
+const BOARD_DURATION: &str = "1";
+
+/// Number of the B-G431B-ESC1's control interrupt, ADC1_2, and cycles of the core in its PWM period.
+const CONTROL: u64 = 18;
+const PERIOD: f64 = 8496.0;
 
 const GOLDEN: &str = "xtask/counts.txt";
 
@@ -119,6 +127,8 @@ fn table(cross: &Cross) -> Result<String> {
         let data = read(&cross.firmware(core.board)?)?;
         instructions(&core, &object::File::parse(&*data)?, &mut table)?;
     }
+    cross.firmware(&boards::B_G431B_ESC1)?;
+    control_interrupt(&mut table)?;
     for (board, scalar) in
         [(&boards::QEMU, "f32"), (&boards::QEMU_M3, FIXED), (&boards::QEMU_M0, FIXED)]
     {
@@ -203,6 +213,36 @@ fn row(calls: &[Cost], has_cycles: bool) -> Result<String> {
     let dearest = calls.iter().map(|call| call.cycles).max().filter(|_| has_cycles);
     let cycles = dearest.map(|cycles| format!(" {cycles:>7}")).unwrap_or_default();
     Ok(format!("{min:>5} {mean:>7.1} {max:>7}{cycles}"))
+}
+
+/// The control interrupt of the image that is flashed, with the motor driven: what `host-sim board` counts and estimates.
+fn control_interrupt(table: &mut String) -> Result<()> {
+    let played = cargo(&["run", "--quiet", "--release", "--package", "host-sim", "--"])
+        .args(&["board", "host-sim/scenarios/esc1.toml", "--duration", BOARD_DURATION, "--json"])
+        .read()?;
+    let played: Value = serde_json::from_str(&played)?;
+    let interrupts = played["summary"]["interrupts"].as_array().context("no interrupts")?;
+    let control = interrupts.iter().find(|one| one["number"] == CONTROL);
+    let control = control.context("the control interrupt never came")?;
+    let spread = |what: &str| -> Result<[f64; 3]> {
+        let spread = serde_json::from_value(control[what].clone());
+        spread.with_context(|| format!("no {what} of the control interrupt"))
+    };
+    let cycles = spread("estimated_cycles")?;
+    writeln!(
+        table,
+        "\nB-G431B-ESC1's control interrupt, as flashed, on the emulated board; cycles are estimates"
+    )?;
+    writeln!(table, "{:<43} {:>5} {:>7} {:>7}", "", "min", "mean", "max")?;
+    let share = cycles.map(|cycles| 100.0 * cycles / PERIOD);
+    for (what, [min, mean, max], digits) in [
+        ("instructions", spread("instructions")?, 0),
+        ("cycles, estimated", cycles, 0),
+        ("share of a period (%), estimated", share, 1),
+    ] {
+        writeln!(table, "{what:<43} {min:>5.digits$} {mean:>7.1} {max:>7.digits$}")?;
+    }
+    Ok(())
 }
 
 /// Addresses of the instructions in a function and what it calls that are from the estimators, as the compiler attributes them: one that serves

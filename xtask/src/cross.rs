@@ -136,7 +136,9 @@ fn rustup() -> Result<Cross> {
         Some(true) => println!("Set-up: {list} are there, by rustup."),
         Some(false) => {
             println!("Set-up: adding {list} by rustup.");
-            program("rustup").args(&["target", "add"]).args(&TARGETS).run()?;
+            program("rustup").args(&["target", "add"]).args(&TARGETS).run().with_context(|| {
+                format!("rustup cannot add {list}: add them by hand, or take Debian's packages (--toolchain debian)")
+            })?;
         }
         None => bail!("rustup cannot be run: install it from rustup.rs"),
     }
@@ -180,10 +182,9 @@ fn rust_lld() -> Result<PathBuf> {
     let linkers = fs::read_dir(&libraries)
         .with_context(|| format!("cannot read {}", libraries.display()))?
         .filter_map(|host| Some(host.ok()?.path().join("bin/rust-lld")));
-    linkers
-        .into_iter()
-        .find(|linker| linker.is_file())
-        .with_context(|| format!("no rust-lld in {}", libraries.display()))
+    linkers.into_iter().find(|linker| linker.is_file()).with_context(|| {
+        format!("no rust-lld in {}: a toolchain that rustup installs has one", libraries.display())
+    })
 }
 
 /// Builds core and alloc as a dependency of an empty crate, and lays them out as a sysroot.

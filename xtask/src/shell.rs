@@ -2,8 +2,9 @@
 
 use anyhow::{Context, Result, bail};
 use std::ffi::OsStr;
+use std::io;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::{Command, ExitStatus, Stdio};
 
 /// The repository's root.
 pub fn root() -> &'static Path {
@@ -61,14 +62,30 @@ impl Shell {
     }
 
     /// Shows the command, runs it, and fails if it does.
-    pub fn run(mut self) -> Result<()> {
+    pub fn run(self) -> Result<()> {
+        self.shown(|command| command.status(), |status| *status).map(drop)
+    }
+
+    /// The same, and gives what it prints.
+    pub fn read(mut self) -> Result<String> {
+        self.0.stderr(Stdio::inherit());
+        let output = self.shown(|command| command.output(), |output| output.status)?;
+        Ok(String::from_utf8(output.stdout)?)
+    }
+
+    fn shown<T>(
+        mut self,
+        run: impl FnOnce(&mut Command) -> io::Result<T>,
+        status: impl FnOnce(&T) -> ExitStatus,
+    ) -> Result<T> {
         let text = self.text();
         eprintln!("==> {text}");
-        let status = self.0.status().with_context(|| format!("cannot run `{text}`"))?;
+        let result = run(&mut self.0).with_context(|| format!("cannot run `{text}`"))?;
+        let status = status(&result);
         if !status.success() {
             bail!("`{text}` failed: {status}");
         }
-        Ok(())
+        Ok(result)
     }
 
     /// What the command prints, if it can be run and succeeds.

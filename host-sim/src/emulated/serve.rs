@@ -2,6 +2,7 @@
 
 use super::{Emulated, setup};
 use crate::scenario::Scenario;
+use crate::serve::next_host;
 use anyhow::{Context, Result};
 use std::convert::Infallible;
 use std::io::{ErrorKind, Read, Write};
@@ -37,14 +38,8 @@ pub fn serve(emulated: &Emulated, listener: &TcpListener) -> Result<Infallible> 
     let mut due = Instant::now();
     let mut host: Option<Host> = None;
     loop {
-        let newcomer = match listener.accept() {
-            Ok((stream, _)) => Some(stream),
-            Err(error) if error.kind() == ErrorKind::WouldBlock => None,
-            Err(error) => return Err(error).context("cannot listen"),
-        };
-        // One host at a time, as on a cable: another is hung up on.
         if host.is_none() {
-            host = newcomer.map(Host::new).transpose()?;
+            host = next_host(listener).context("cannot listen")?.map(Host::new).transpose()?;
         }
         emulated.run(TICK)?;
         let sent = emulated.take_sent();

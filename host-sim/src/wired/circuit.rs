@@ -110,6 +110,8 @@ pub struct Circuit {
     pub short: Option<Short>,
     /// Whether the shaft is held.
     pub is_blocked: bool,
+    /// What loads the shaft beside the scenario's load (N·m).
+    pub extra_load: f64,
     /// What overrides the supply.
     pub ramp: Option<Ramp>,
 }
@@ -211,6 +213,7 @@ impl Circuit {
             leads: Leads::Motor,
             short: None,
             is_blocked: false,
+            extra_load: 0.0,
             ramp: None,
         }
     }
@@ -249,7 +252,8 @@ impl Circuit {
 
     /// Load torque at a time (N·m).
     pub fn load_at(&self, time: f64) -> f64 {
-        if time < self.start { 0.0 } else { self.load.at(time - self.start) }
+        let scheduled = if time < self.start { 0.0 } else { self.load.at(time - self.start) };
+        scheduled + self.extra_load
     }
 
     /// The longest integration step (s): a sixth of the motor's fastest time constant at most.

@@ -19,6 +19,8 @@ pub enum EncoderFault {
     Lost(NonZeroU32),
     /// The disc is dirty: each so many-th count is lost.
     EachLost(NonZeroU32),
+    /// A disturbance on its wires has made so many counts at once.
+    Burst(i64),
 }
 
 /// An encoder on a shaft.
@@ -49,7 +51,7 @@ impl Encoder {
         let before = std::mem::replace(&mut self.seen, seen);
         let moved = seen - before;
         self.edges += match self.fault {
-            None => moved,
+            None | Some(EncoderFault::Burst(_)) => moved,
             Some(EncoderFault::Unplugged | EncoderFault::Frozen) => 0,
             Some(EncoderFault::Reversed) => -moved,
             Some(EncoderFault::Lost(_)) => {
@@ -79,6 +81,9 @@ impl Encoder {
                 3 => -1,
                 _ => 0,
             };
+        }
+        if let Some(EncoderFault::Burst(counts)) = fault {
+            self.edges += counts;
         }
         self.to_lose = match fault {
             Some(EncoderFault::Lost(counts)) => i64::from(counts.get()),
@@ -135,13 +140,14 @@ mod tests {
 
     #[test]
     fn faults_act_from_where_they_start_to_where_they_end() {
-        use EncoderFault::{EachLost, Frozen, Lost, Reversed, Unplugged};
+        use EncoderFault::{Burst, EachLost, Frozen, Lost, Reversed, Unplugged};
         let cases = [
             (Unplugged, 100),
             (Frozen, 100),
             (Reversed, 0),
             (Lost(few(7)), 193),
             (EachLost(few(5)), 180),
+            (Burst(50), 250),
         ];
         for (fault, expected) in cases {
             let mut encoder = encoder(false);

@@ -20,6 +20,8 @@ pub enum Fault {
     LegShorted(Short),
     /// The shaft is held.
     RotorBlocked,
+    /// This torque loads the shaft (N·m), beside the scenario's; one below zero drives it on.
+    Load(f64),
     /// The supply is this (V).
     Supply(f64),
     /// The supply, from what the scenario has it at, rises at this rate (V/s); down to 0 V if negative.

@@ -219,6 +219,7 @@ impl WiredWorld {
         circuit.leads = Leads::Motor;
         circuit.short = None;
         circuit.is_blocked = false;
+        circuit.extra_load = 0.0;
         circuit.ramp = None;
         self.pads.shunt_faults = [None; 2];
         self.pads.thermistor_fault = None;
@@ -239,6 +240,7 @@ impl WiredWorld {
                 Fault::LeadOpen => circuit.leads = Leads::Open,
                 Fault::LegShorted(short) => circuit.short = Some(short),
                 Fault::RotorBlocked => circuit.is_blocked = true,
+                Fault::Load(torque) => circuit.extra_load = torque,
                 Fault::Supply(voltage) => {
                     circuit.ramp = Some(Ramp { from, voltage: Some(voltage), rate: 0.0 });
                 }

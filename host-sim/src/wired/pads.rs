@@ -37,6 +37,8 @@ pub enum ShuntFault {
     Low,
     /// Its offset drifts at this rate (A/s).
     Drift(f64),
+    /// It shows this share of the current.
+    Gain(f64),
 }
 
 /// What is wrong with the thermistor.
@@ -94,6 +96,7 @@ impl Pads {
             Some((since, ShuntFault::Drift(rate))) => {
                 shunt_pad(shown + noise + rate * (time - since))
             }
+            Some((_, ShuntFault::Gain(share))) => shunt_pad(share * shown + noise),
             Some((_, ShuntFault::Stuck(stuck))) => shunt_pad(stuck),
             Some((_, ShuntFault::High)) => SUPPLY,
             Some((_, ShuntFault::Low)) => 0.0,
@@ -206,6 +209,7 @@ mod tests {
         assert_eq!(shown(ShuntFault::Stuck(-2.0), 4.0), shunt_pad(-2.0));
         assert_eq!(shown(ShuntFault::High, 4.0), 3.3);
         assert_eq!(shown(ShuntFault::Low, 4.0), 0.0);
+        assert_eq!(shown(ShuntFault::Gain(0.5), 4.0), shunt_pad(1.5));
         assert_eq!(shown(ShuntFault::Drift(0.5), 1.0), shunt_pad(3.0));
         assert_eq!(shown(ShuntFault::Drift(0.5), 4.0), shunt_pad(4.5));
     }

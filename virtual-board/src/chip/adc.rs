@@ -29,18 +29,19 @@ const ADRDY: u32 = 0;
 const JEOC: u32 = 5;
 const JEOS: u32 = 6;
 
-/// JSQR: JEXTSEL = 8, TIM1_TRGO2; JEXTEN = 1, rising edge.
+/// JSQR: JEXTSEL = 8, TIM1_TRGO2 (as in embassy-stm32's tables of triggers); JEXTEN = 1, rising edge.
 const BY_TRGO2: u32 = 8 << 2 | 1 << 7;
 
 /// Sampling times by SMPx, in half cycles of the converter's clock.
 const SAMPLING: [Tick; 8] = [5, 13, 25, 49, 95, 185, 495, 1281];
 /// Conversion of 12 bits, in half cycles.
 const CONVERSION: Tick = 25;
-/// From trigger to start, in eighths of a cycle: 3.125 cycles at HCLK / 4 (DS12589, injected trigger conversion latency; from memory).
-const LATENCY: Tick = 25;
-/// Calibration, in cycles (DS12589).
+/// From trigger to start, in eighths of a cycle: 2.125 cycles at HCLK / 4 (t_LATR in the data sheet of the STM32G474, DS12288, table 66, as a
+/// public design review quotes it; 3.125 cycles, t_LATRINJ, are for an injected conversion that aborts a regular one).
+const LATENCY: Tick = 17;
+/// Calibration, in cycles, and from ADEN to ADRDY (of a data sheet, from memory: not found again).
 const CALIBRATION: Tick = 116;
-/// Start-up of the regulator (DS12589: at most 20 µs), and from ADEN to ADRDY.
+/// Start-up of the regulator: at most 20 µs (embassy-stm32's driver waits as long).
 const REGULATOR: Tick = 20 * MICROSECOND;
 const READY: Tick = MICROSECOND;
 
@@ -105,6 +106,11 @@ impl Adc {
         if bit(self.cr, JADSTART) && self.jsqr & 0x1fc == BY_TRGO2 && self.step.is_none() {
             self.sample(0, now + LATENCY * cycle / 8, cycle);
         }
+    }
+
+    /// Whether it is enabled.
+    pub fn is_enabled(&self) -> bool {
+        bit(self.cr, ADEN)
     }
 
     fn channel(&self, rank: usize) -> u32 {
@@ -183,7 +189,8 @@ impl Adc {
             SMPR1 => store(&mut self.smpr[0], value, 0x3fff_ffff),
             SMPR2 => store(&mut self.smpr[1], value, 0x07ff_ffff),
             JSQR if value & 0x1fc != BY_TRGO2 => Err(Unmodelled),
-            JSQR => store(&mut self.jsqr, value, !0),
+            // JL, JEXTSEL, JEXTEN, JSQ1 to JSQ4
+            JSQR => store(&mut self.jsqr, value, 0xfbef_bfff),
             _ => Err(Unmodelled),
         }
     }
@@ -216,7 +223,12 @@ impl Adc {
             self.ready = now + READY;
             self.is_ready_cleared = false;
         }
-        if rises(JADSTART) && (!bit(was, ADEN) || now < self.ready) {
+        // Without a synchronous clock nothing would follow the trigger.
+        if rises(JADSTART) && (!bit(was, ADEN) || now < self.ready || cycle.is_none()) {
+            return Err(Unmodelled);
+        }
+        let stays = bit(value, ADVREGEN) && !bit(value, DEEPPWD);
+        if self.is_enabled() && !stays {
             return Err(Unmodelled);
         }
         let kept = was & (1 << ADEN | 1 << JADSTART | 1 << ADCAL);

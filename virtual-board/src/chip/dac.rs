@@ -43,7 +43,8 @@ impl Dac {
             // EN1
             CR => store(&mut self.cr, value, 1),
             DHR12R1 => store(&mut self.dhr1, value, 0xfff),
-            // MODE1, HFSEL
+            // MODE1, of which all but 0 and 3 go elsewhere; HFSEL
+            MCR if !matches!(field(value, 0, 3), 0 | 3) => Err(Unmodelled),
             MCR => store(&mut self.mcr, value, 0xc007),
             _ => Err(Unmodelled),
         }

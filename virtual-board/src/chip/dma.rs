@@ -23,7 +23,7 @@ const MINC: u32 = 7;
 const PSIZE: u32 = 8;
 const MSIZE: u32 = 10;
 
-/// Request lines of DMAMUX1 (RM0440, table of its inputs).
+/// Request lines of DMAMUX1 (RM0440, table of its inputs; as in embassy-stm32's tables).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Request {
     /// TIM1's channel 4.
@@ -123,6 +123,7 @@ impl Dma {
         match offset {
             ISR => Err(Unmodelled),
             IFCR => {
+                only(value, 0x00ff_ffff)?;
                 // CGIF clears a channel's other flags too.
                 let all = (0..CHANNELS).filter(|n| bit(value, 4 * *n as u32));
                 self.isr &= !all.fold(value, |mask, n| mask | 0xf << (4 * n));
@@ -137,8 +138,11 @@ impl Dma {
                 }
                 match register {
                     0 => {
-                        // All but MEM2MEM.
+                        // All but MEM2MEM, and sizes that there are.
                         only(value, 0x3fff)?;
+                        if field(value, PSIZE, 2) == 3 || field(value, MSIZE, 2) == 3 {
+                            return Err(Unmodelled);
+                        }
                         if bit(value, EN) && !bit(channel.ccr, EN) {
                             channel.length = channel.cndtr;
                         }

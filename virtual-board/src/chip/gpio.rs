@@ -1,6 +1,6 @@
-//! General-purpose I/Os, ports A to C (RM0440, chapter *General-purpose I/Os*). Not modelled: locking, and interrupts by EXTI.
+//! General-purpose I/Os, ports A to C (RM0440, chapter *General-purpose I/Os*). Not modelled: open drain, locking, and interrupts by EXTI.
 
-use super::block::{Access, Unmodelled, bit, field, store};
+use super::block::{Access, Unmodelled, bit, field, only, store};
 
 const MODER: u32 = 0x00;
 const OTYPER: u32 = 0x04;
@@ -29,7 +29,6 @@ pub enum Drive {
 /// A port's registers.
 pub struct Gpio {
     moder: u32,
-    otyper: u32,
     ospeedr: u32,
     pupdr: u32,
     odr: u32,
@@ -45,7 +44,7 @@ impl Gpio {
             1 => (0xffff_febf, 0x0000_00c0, 0x0000_0100),
             _ => (0xffff_ffff, 0, 0),
         };
-        Self { moder, otyper: 0, ospeedr, pupdr, odr: 0, afr: [0; 2] }
+        Self { moder, ospeedr, pupdr, odr: 0, afr: [0; 2] }
     }
 
     /// What drives a pin.
@@ -67,7 +66,7 @@ impl Gpio {
     pub fn read(&self, offset: u32, inputs: u32) -> Access<u32> {
         Ok(match offset {
             MODER => self.moder,
-            OTYPER => self.otyper,
+            OTYPER => 0,
             OSPEEDR => self.ospeedr,
             PUPDR => self.pupdr,
             IDR => inputs,
@@ -83,7 +82,8 @@ impl Gpio {
     pub fn write(&mut self, offset: u32, value: u32) -> Access<()> {
         match offset {
             MODER => store(&mut self.moder, value, !0),
-            OTYPER => store(&mut self.otyper, value, 0xffff),
+            // Push-pull only.
+            OTYPER => only(value, 0),
             OSPEEDR => store(&mut self.ospeedr, value, !0),
             PUPDR => store(&mut self.pupdr, value, !0),
             ODR => store(&mut self.odr, value, 0xffff),

@@ -2,7 +2,7 @@
 
 use super::block::{Access, Unmodelled};
 use super::rcc::Gate;
-use super::{Cause, Chip, adc, comp, dac, dma, opamp, pwr, syscfg, tim, tim1, tim4, usart};
+use super::{Cause, Chip, adc, comp, dac, dma, gpio, opamp, pwr, syscfg, tim, tim4, usart};
 use crate::world::World;
 
 /// ADC1; ADC2 and what both share are 0x100 and 0x300 above it.
@@ -134,6 +134,9 @@ impl<W: World> Chip<W> {
             }
             Block::Comp => {
                 self.comp.write(offset, value)?;
+                if self.comp.input().is_some() && self.dac.output().is_none() {
+                    return Err(Cause::UnconnectedInput);
+                }
                 self.look_at_comparator(cycle);
             }
             Block::Opamp => self.opamps.write(offset, value)?,
@@ -165,6 +168,10 @@ impl<W: World> Chip<W> {
                 let cycle = self.adc_cycle();
                 self.adc[number].write(offset, value, now, cycle)?;
             }
+            // Not while a converter is on (RM0440, ADC12_CCR's CKMODE).
+            Block::AdcCommon if self.adc.iter().any(adc::Adc::is_enabled) => {
+                return Err(Cause::Unmodelled);
+            }
             Block::AdcCommon => self.adc_common.write(offset, value)?,
             Block::Dac3 => self.dac.write(offset, value)?,
             Block::Dbgmcu => self.dbgmcu.write(offset, value)?,
@@ -175,6 +182,11 @@ impl<W: World> Chip<W> {
     /// Resets the blocks that RCC holds in reset. Of the flash only the registers that a restart sets anyway: nothing here.
     fn reset_blocks(&mut self) {
         let holds = |gate| self.rcc.is_in_reset(gate);
+        for (port, gate) in [Gate::GPIOA, Gate::GPIOB, Gate::GPIOC].into_iter().enumerate() {
+            if holds(gate) {
+                self.gpio[port] = gpio::Gpio::new(port);
+            }
+        }
         if holds(Gate::DMA1) || holds(Gate::DMAMUX1) {
             self.dma = dma::Dma::new();
         }
@@ -206,9 +218,9 @@ impl<W: World> Chip<W> {
             let usart = core::mem::replace(&mut self.usart, usart::Usart::new(usart::Line::new(1)));
             self.usart = usart::Usart::new(usart.into_line());
         }
-        if self.rcc.is_in_reset(Gate::TIM1) {
-            self.tim1 = tim1::Tim1::new();
-            self.update_gates();
+        if holds(Gate::TIM1) {
+            self.tim1.reset();
         }
+        self.update_gates();
     }
 }

@@ -197,7 +197,7 @@ impl<W: World> Chip<W> {
         self.usart = usart::Usart::new(usart.into_line());
         self.pwr = pwr::Pwr::new();
         self.gpio = [0, 1, 2].map(Gpio::new);
-        self.tim1 = tim1::Tim1::new();
+        self.tim1.reset();
         self.tim3 = Tim::new();
         self.tim4 = tim4::Tim4::new();
         self.tim15 = Tim::new();
@@ -312,6 +312,11 @@ impl<W: World> Chip<W> {
         self.rcc.break_crystal(self.now);
         self.follow_clock();
         self.follow();
+    }
+
+    /// The counter of the bridge's timer breaks.
+    pub fn stop_bridge_timer(&mut self) {
+        self.tim1.get_stuck();
     }
 
     // Time

@@ -1,6 +1,6 @@
 //! Power control (RM0440, chapter *Power control*): voltage scaling is always ready at once. No low-power modes.
 
-use super::block::{Access, Unmodelled, bit, store};
+use super::block::{Access, Unmodelled, bit, field, store};
 
 const CR1: u32 = 0x00;
 const CR3: u32 = 0x08;
@@ -40,7 +40,8 @@ impl Pwr {
     /// Writes a register.
     pub fn write(&mut self, offset: u32, value: u32) -> Access<()> {
         match offset {
-            // VOS, DBP
+            // VOS, of which only range 1 is for these clocks; DBP
+            CR1 if field(value, 9, 2) != 1 => Err(Unmodelled),
             CR1 => store(&mut self.cr1, value, 0x700),
             // EIWUL, UCPD1_DBDIS, UCPD1_STDBY
             CR3 => store(&mut self.cr3, value, 0xe000),

@@ -38,7 +38,7 @@ const CSSF: u32 = 8;
 /// CSR: clears the reset flags.
 const RMVF: u32 = 23;
 
-/// Start-up times of the crystal and the PLL (DS12589, typical).
+/// Start-up times of the crystal and the PLL: of the size in data sheets, from memory. Nothing depends on them but how long the start takes.
 const CRYSTAL_START: Tick = 2000 * MICROSECOND;
 const PLL_START: Tick = 40 * MICROSECOND;
 
@@ -178,6 +178,10 @@ impl Rcc {
             3 if !self.is_crystal_broken => HSE,
             _ => return None,
         };
+        // PLLREN
+        if !bit(self.pllcfgr, 24) {
+            return None;
+        }
         let divisor = u64::from(field(self.pllcfgr, 4, 4) + 1);
         let multiplier = u64::from(field(self.pllcfgr, 8, 7));
         let output = 2 * u64::from(field(self.pllcfgr, 25, 2) + 1);
@@ -283,7 +287,8 @@ impl Rcc {
                 match register {
                     RSTR => self.rstr[bus] = value,
                     ENR => self.enr[bus] = value,
-                    _ => self.smenr[bus] = value,
+                    // Clocks go on in sleep, as reset has it.
+                    _ => only(value ^ self.smenr[bus], 0)?,
                 }
                 Ok(())
             }

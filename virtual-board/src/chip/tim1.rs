@@ -105,6 +105,8 @@ pub struct Tim1 {
     /// How far time has come.
     now: Tick,
     effects: Effects,
+    /// Whether the counter is broken, and stands still.
+    is_stuck: bool,
 }
 
 impl Tim1 {
@@ -136,7 +138,18 @@ impl Tim1 {
             is_broken: false,
             now: 0,
             effects: Effects::default(),
+            is_stuck: false,
         }
+    }
+
+    /// After another one: what is broken stays so.
+    pub fn reset(&mut self) {
+        *self = Self { is_stuck: self.is_stuck, ..Self::new() };
+    }
+
+    /// The counter breaks.
+    pub fn get_stuck(&mut self) {
+        self.is_stuck = true;
     }
 
     /// Main output enable.
@@ -171,7 +184,7 @@ impl Tim1 {
     }
 
     fn is_running(&self) -> bool {
-        bit(self.cr1, CEN)
+        bit(self.cr1, CEN) && !self.is_stuck
     }
 
     fn turn(&self, cycle: Tick) -> Tick {
@@ -531,8 +544,8 @@ impl Tim1 {
     }
 
     fn write_ccer(&mut self, value: u32) -> Access<()> {
-        // CC1E to CC4P
-        only(value, 0x3fff)?;
+        // CC1E to CC3NP: channel 4 has no output that is modelled.
+        only(value, 0x0fff)?;
         // CCxP and CCxNP
         let locked = if self.lock() >= 2 { 0x2aaa } else { 0 };
         self.ccer = self.ccer & locked | value & !locked;

@@ -217,6 +217,10 @@ impl Usart {
             // UE, RE, TE, IDLEIE, RXNEIE, TCIE, TXEIE, FIFOEN
             CR1 => {
                 only(value, 0x2000_00fd)?;
+                // Switching it off discards what it is at.
+                if is_on && !bit(value, UE) {
+                    return Err(Unmodelled);
+                }
                 if bit(value, TE) && !bit(self.cr1, TE) {
                     self.flags |= 1 << TC;
                 }
@@ -234,10 +238,9 @@ impl Usart {
                 self.flags &= !value;
                 Ok(())
             }
-            TDR if is_on && bit(self.cr1, TE) => {
-                if self.transmitting.len() < self.depth() {
-                    self.transmitting.push_back(value as u8);
-                }
+            // What finds no room is lost, and never meant to be.
+            TDR if is_on && bit(self.cr1, TE) && self.transmitting.len() < self.depth() => {
+                self.transmitting.push_back(value as u8);
                 self.flags &= !(1 << TC);
                 if self.leaving.is_none() {
                     self.leave(now, cycle);

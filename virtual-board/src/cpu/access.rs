@@ -188,7 +188,8 @@ impl Cpu {
     }
 
     /// Reads from the core's own registers, words of which a part may be taken.
-    fn load_own(&mut self, address: u32, size: usize) -> Done<u32> {
+    pub(super) fn load_own(&mut self, address: u32, size: usize) -> Done<u32> {
+        self.check_modelled(address, 0, None);
         let word = match address & !3 {
             DWT_PCSR => Some(self.address),
             word => self.sys.read_word(word, false),
@@ -198,16 +199,21 @@ impl Cpu {
         Ok(value as u32 & u32::MAX >> (32 - 8 * size))
     }
 
-    fn store_own(&mut self, address: u32, size: usize, value: u32) -> Done {
+    pub(super) fn store_own(&mut self, address: u32, size: usize, value: u32) -> Done {
         self.is_to_arbitrate = true;
         let shift = 8 * (address & 3);
         let mask = (u32::MAX >> (32 - 8 * size)) << shift;
+        // Without the effects of reading.
+        let old = self.sys.read_word(address, true);
         let word = if size == 4 {
             Some(value)
         } else {
-            // The rest is what it was, read without the effects of reading.
-            self.sys.read_word(address, true).map(|old| old & !mask | value << shift & mask)
+            // The rest is what it was.
+            old.map(|old| old & !mask | value << shift & mask)
         };
+        if let (Some(old), Some(new)) = (old, word) {
+            self.check_modelled(address, old ^ new, Some(value));
+        }
         let is_stored = word.is_some_and(|word| self.sys.write_word(address, word));
         if is_stored { Ok(()) } else { Err(self.bus_fault(address, Access::Write)) }
     }

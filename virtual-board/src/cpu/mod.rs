@@ -13,11 +13,12 @@
 //! | `dsp` | those of the DSP extension |
 //! | `float` | floating-point instructions |
 //! | `special` | the special registers |
+//! | `own` | which of the core's registers in memory are modelled |
 //!
 //! One step is an instruction, or the entry to an exception. Cycles are an estimate: those of the Cortex-M4's reference manual without
 //! wait states, as from core-coupled memory, or from flash if its accelerator always had the instruction.
 //!
-//! Not modelled: bit-band aliases, which are no memory here; sleep on exit; what beside SEV sets the event register, so that WFE sleeps at
+//! Not modelled: bit-band aliases, which are no memory here; what beside SEV sets the event register, so that WFE sleeps at
 //! once where a chip that has handled an interrupt meanwhile goes through it one time more; the debugger.
 
 mod access;
@@ -28,9 +29,10 @@ mod execute;
 mod float;
 #[cfg(test)]
 mod lockstep;
+mod own;
 mod special;
 
-use crate::chip::flash;
+use crate::chip::{Refused, flash};
 use crate::memory::Memory;
 use access::Decoded;
 use exception::Fault;
@@ -96,6 +98,8 @@ pub struct Cpu {
     is_to_arbitrate: bool,
     /// The last address without memory that it reached for.
     fault_address: Option<u32>,
+    /// The first access to its own registers that is not modelled.
+    refused: Option<Refused>,
 
     // Of the step.
     time: u64,
@@ -138,6 +142,7 @@ impl Cpu {
             nmi: false,
             is_to_arbitrate: false,
             fault_address: None,
+            refused: None,
             time: 0,
             cycles: 0,
             address: 0,
@@ -212,15 +217,10 @@ impl Cpu {
         self.execute(code.insn, bus)
     }
 
-    /// Lets the core's counters go on.
+    /// Lets the core's cycle counter go on.
     fn count(&mut self) {
         if self.sys.cyccnt_enabled() {
             self.sys.tick_cyccnt(self.cycles);
-        }
-        let is_ticking = self.sys.syst_csr & 1 != 0;
-        if is_ticking && self.sys.tick_systick(self.cycles) && self.sys.syst_csr & 2 != 0 {
-            self.sys.set_pending(Exception::SYSTICK, true);
-            self.is_to_arbitrate = true;
         }
     }
 
@@ -235,7 +235,12 @@ impl Cpu {
         self.sys.tick_cyccnt(cycles);
     }
 
-    /// Whether it has reached for the bus since the last call.
+    /// An access to its own registers that is not modelled, if there was one. The core itself goes on.
+    pub fn refused(&self) -> Option<Refused> {
+        self.refused
+    }
+
+    /// Whether it has reached for the bus since the last call, or has something refused.
     pub fn take_touched(&mut self) -> bool {
         core::mem::take(&mut self.has_touched)
     }

@@ -2,15 +2,19 @@
 
 use super::bench::Bench;
 use super::{Case, Finding, PERIOD, Result, Stand};
-use crate::assignment::Setting;
+use crate::connect::in_words;
 use crate::emulated::play;
+use crate::scenario::ShapeName;
+use crate::wired::encoder::EncoderFault;
 use crate::wired::faults::Fault as Change;
 use anyhow::ensure;
+use quasidrive::fault::ActiveLimit;
 use quasidrive::link::frame::{LONGEST, encode};
 use quasidrive::link::message::{Numbered, Request};
 use quasidrive::supervisor::Command;
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
+use std::num::NonZeroU32;
 use std::path::Path;
 
 /// Speed of the motor (rad/s).
@@ -73,6 +77,13 @@ pub fn cases() -> Vec<Case> {
             ensure!(!bench.client.telemetry()?.is_empty(), "no telemetry");
             Ok(())
         }),
+        quiet("control interrupt late by a third of a period", |bench, random| {
+            bench.emulated.run(random.random_range(0.0..PERIOD))?;
+            bench.emulated.board().force_interrupt(18, Some(false));
+            bench.emulated.run(PERIOD / 3.0)?;
+            bench.emulated.board().force_interrupt(18, None);
+            bench.emulated.run(1e-3)
+        }),
         rough(
             "load step of four fifths of the largest configured torque",
             "no fault; the speed is back within 1 rad/s after 50 ms",
@@ -87,6 +98,22 @@ pub fn cases() -> Vec<Case> {
             "bus sags within its limits",
             "no fault; the speed within 2 rad/s throughout",
             bus_sag,
+        ),
+        rough(
+            "encoder loses five counts",
+            "no fault; the speed is back within 1 rad/s after 50 ms",
+            lost_counts,
+        ),
+        rough("speed just below its limit", "no fault", nearly_too_fast),
+        rough(
+            "load of nine tenths of the continuous current",
+            "no fault over eight thermal times; the limit *heat* is told",
+            nearly_too_much,
+        ),
+        rough(
+            "board 5 °C below its highest temperature",
+            "no fault; the limit *temperature* is told",
+            nearly_too_hot,
         ),
         rough(
             "the same twice",
@@ -140,34 +167,68 @@ fn rms(bench: &Bench, speed: f64) -> f64 {
 }
 
 fn load_step(stand: &Stand) -> Result<Finding> {
-    let mut stepped = stand.scenario.clone();
-    let torque = 0.8 * stepped.tuning.load_torque.unwrap_or_default();
-    stepped.load.constant = torque;
-    let mut bench = Bench::new(&stand.image, &stepped, Some(&stand.saved))?;
-    bench.start(SPEED)?;
+    let torque = 0.8 * stand.scenario.tuning.load_torque.unwrap_or_default();
+    bump(stand, Change::Load(torque), &format!("{torque:.2} N·m"))
+}
+
+fn lost_counts(stand: &Stand) -> Result<Finding> {
+    let counts = NonZeroU32::MIN.saturating_add(4);
+    bump(stand, Change::Encoder(EncoderFault::Lost(counts)), "half a degree")
+}
+
+/// Something that the speed must be back from soon.
+fn bump(stand: &Stand, change: Change, what: &str) -> Result<Finding> {
+    let mut bench = stand.running(SPEED)?;
     watch(&bench);
-    let start = bench.emulated.time();
-    bench.emulated.board().world(|witness| witness.world.start_profiles(start));
+    let start = bench.inject(change, 0.3);
     bench.watch(0.2)?;
     bench.check_running()?;
     let error = |truth: &crate::wired::Truth| (truth.speed - f64::from(SPEED)).abs();
-    let (dip, late) = bench.emulated.board().world(|witness| {
+    let (most, late) = bench.emulated.board().world(|witness| {
         let late = witness.samples.iter().filter(|truth| truth.time > start + 50e-3);
         (witness.samples.iter().map(error).fold(0.0, f64::max), late.map(error).fold(0.0, f64::max))
     });
     ensure!(late < 1.0, "{late:.2} rad/s off after 50 ms");
-    finish(&bench, format!("{torque:.2} N·m: {dip:.2} rad/s at most, {late:.3} rad/s after 50 ms"))
+    finish(&bench, format!("{what}: {most:.2} rad/s at most, {late:.3} rad/s after 50 ms"))
+}
+
+fn nearly_too_fast(stand: &Stand) -> Result<Finding> {
+    // Ten times the speed's noise below the limit.
+    let speed = stand.scenario.limits.speed - 0.2;
+    let mut bench = stand.running(speed as f32)?;
+    bench.watch(0.2)?;
+    bench.check_running()?;
+    finish(&bench, format!("{speed:.1} rad/s"))
+}
+
+fn nearly_too_much(stand: &Stand) -> Result<Finding> {
+    // With the friction 2.37 A: 83 % of what trips, in squares.
+    let mut bench = stand.running_with(SPEED, |scenario| {
+        scenario.protection.continuous_current = Some(2.6);
+        scenario.protection.thermal_time = 0.05;
+    })?;
+    bench.inject(Change::Load(0.12), f64::INFINITY);
+    tells(&mut bench, 0.4, ActiveLimit::Heat)
+}
+
+fn nearly_too_hot(stand: &Stand) -> Result<Finding> {
+    let mut bench = stand.running(SPEED)?;
+    let temperature = stand.scenario.protection.temperature - 5.0;
+    bench.inject(Change::BoardTemperature(temperature), f64::INFINITY);
+    tells(&mut bench, 0.1, ActiveLimit::Temperature)
+}
+
+/// It runs on, but tells of a limit.
+fn tells(bench: &mut Bench, time: f64, limit: ActiveLimit) -> Result<Finding> {
+    let status = bench.watch(time)?;
+    bench.check_running()?;
+    ensure!(status.limits.contains(limit), "{}", in_words(&status));
+    finish(bench, in_words(&status))
 }
 
 fn reversal(stand: &Stand) -> Result<Finding> {
-    let mut bench = stand.ready()?;
-    bench.client.change([&("reference".to_owned(), Setting::Name("Step".to_owned()))])?;
-    crate::emulated::setup::wait_for(
-        &bench.emulated,
-        &mut bench.client,
-        quasidrive::supervisor::Mode::Ready,
-    )?;
-    bench.start(SPEED)?;
+    let mut bench =
+        stand.running_with(SPEED, |scenario| scenario.reference.shape = ShapeName::Step)?;
     watch(&bench);
     let start = bench.emulated.time();
     bench.client.command(Command::Speed(-SPEED))?;

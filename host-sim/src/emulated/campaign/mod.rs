@@ -10,11 +10,12 @@ mod holds;
 mod stores;
 mod trips;
 
-use super::PERIOD;
+use super::{PERIOD, setup};
 use crate::scenario::Scenario;
 use crate::terminal::{short, table};
 use anyhow::Result;
 use bench::Bench;
+use quasidrive::fault::{Fault, Faults};
 use quasidrive::supervisor::Mode;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -43,6 +44,8 @@ pub struct Outcome {
 struct Finding {
     /// Time from the fault until the bridge was off (s).
     off_after: Option<f64>,
+    /// What the drive told.
+    told: Faults,
     found: String,
     failure: Option<String>,
 }
@@ -59,21 +62,26 @@ struct Case {
 }
 
 impl Case {
-    fn run(&self, stand: &Stand) -> Outcome {
+    /// Plays it. Gives the faults that the drive told, too.
+    fn run(&self, stand: &Stand) -> (Outcome, Faults) {
         let finding = (self.play)(stand).unwrap_or_else(|error| Finding {
             failure: Some(format!("{error:#}")),
             ..Finding::default()
         });
-        Outcome {
+        let outcome = Outcome {
             name: self.name.to_owned(),
             demand: self.demand.clone(),
             bound: self.bound.map(|bound| bound / PERIOD),
             off_after: finding.off_after.map(|time| time / PERIOD),
             found: finding.found,
             failure: finding.failure,
-        }
+        };
+        (outcome, finding.told)
     }
 }
+
+/// What a case has other than the campaign.
+type Edit = fn(&mut Scenario);
 
 /// What every case starts from: the image, and a flash that holds the scenario's parameters.
 struct Stand {
@@ -95,7 +103,7 @@ impl Stand {
         scenario.protection.stop_time = 0.5;
         let mut bench = Bench::new(&image, &scenario, None)?;
         let blank = bench.emulated.board().flash();
-        super::setup::configure(&scenario, file, &mut bench.client)?;
+        setup::configure(&scenario, file, &mut bench.client)?;
         bench.save()?;
         let saved = bench.emulated.board().flash();
         Ok(Self { image, scenario, blank, saved })
@@ -112,18 +120,56 @@ impl Stand {
         bench.start(speed)?;
         Ok(bench)
     }
+
+    /// The same with parameters of a scenario that is edited.
+    fn running_with(&self, speed: f32, edit: Edit) -> Result<Bench> {
+        let mut scenario = self.scenario.clone();
+        edit(&mut scenario);
+        let mut bench = Bench::new(&self.image, &scenario, Some(&self.saved))?;
+        setup::configure(&scenario, Path::new("the campaign's"), &mut bench.client)?;
+        setup::wait_for(&bench.emulated, &mut bench.client, Mode::Ready)?;
+        bench.start(speed)?;
+        Ok(bench)
+    }
 }
 
-/// Plays every case whose name contains `only`, in parallel. `each` is called when one is done.
+/// Plays every case whose name contains `only`, in parallel. `each` is called when one is done. If all are played, every fault of the list
+/// must have been told in one or another.
 pub fn run(image: Image, only: Option<&str>, each: impl Fn() + Sync) -> Result<Vec<Outcome>> {
     let stand = Stand::new(image)?;
     let cases: Vec<Case> = cases(only).collect();
-    let outcomes = cases.par_iter().map(|case| {
-        let outcome = case.run(&stand);
+    let played = cases.par_iter().map(|case| {
+        let played = case.run(&stand);
         each();
-        outcome
+        played
     });
-    Ok(outcomes.collect())
+    let (mut outcomes, told): (Vec<_>, Vec<_>) = played.collect();
+    if only.is_none() {
+        outcomes.push(whole_list(&told));
+    }
+    Ok(outcomes)
+}
+
+/// Whether the cases together have made the firmware tell every fault that there is.
+fn whole_list(told: &[Faults]) -> Outcome {
+    let is_told = |fault: Fault| told.iter().any(|faults| faults.contains(fault));
+    let expected = Fault::ALL.into_iter().filter(|fault| *fault != IMPOSSIBLE);
+    let missing: Vec<_> = expected.filter(|fault| !is_told(*fault)).map(numbered).collect();
+    Outcome {
+        name: "the list of faults as a whole".to_owned(),
+        demand: format!("each told in some case, but {}: codes are numbers", numbered(IMPOSSIBLE)),
+        bound: None,
+        off_after: None,
+        found: format!("{} told", Fault::ALL.into_iter().filter(|fault| is_told(*fault)).count()),
+        failure: (!missing.is_empty()).then(|| format!("never told: {}", missing.join(", "))),
+    }
+}
+
+/// The fault that no case makes: this board's samples are codes, which always hold a number and are always of the drive's kind.
+const IMPOSSIBLE: Fault = Fault::BadSample;
+
+fn numbered(fault: Fault) -> String {
+    format!("{} {fault}", fault as u8)
 }
 
 /// How many cases there are whose name contains `only`.

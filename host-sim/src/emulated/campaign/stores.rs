@@ -70,7 +70,7 @@ fn damaged(stand: &Stand, damage: fn(&mut virtual_board::chip::Cells, usize)) ->
         let mut bench = Bench::new(&stand.image, &stand.scenario, None)?;
         bench.client.parameters()?
     };
-    let mut found = String::new();
+    let mut finding = Finding::default();
     // At the beginning, in the middle and at the end of what was saved.
     for share in [0.3, 0.5, 0.95] {
         let at = place.start + (share * place.len() as f64) as usize;
@@ -79,10 +79,11 @@ fn damaged(stand: &Stand, damage: fn(&mut virtual_board::chip::Cells, usize)) ->
         emulated.run(0.2)?;
         let mut bench = Bench { client: emulated.client()?, emulated };
         let status = bench.client.status()?;
-        found = in_words(&status);
+        finding = Finding { told: status.faults, found: in_words(&status), ..Finding::default() };
         ensure!(
             status.mode == Mode::Faulted && status.faults.iter().eq([Fault::BadParameters]),
-            "damage at {at:#x}: {found}"
+            "damage at {at:#x}: {}",
+            finding.found
         );
         ensure!(bench.client.parameters()? == built_in, "other parameters are in force");
         bench.is_refused(20e-3)?;
@@ -92,7 +93,7 @@ fn damaged(stand: &Stand, damage: fn(&mut virtual_board::chip::Cells, usize)) ->
         let misuse = bench.misuse();
         ensure!(misuse.is_none(), "{misuse:?}");
     }
-    Ok(Finding { found, ..Finding::default() })
+    Ok(finding)
 }
 
 fn power_cuts(stand: &Stand) -> Result<Finding> {

@@ -4,16 +4,18 @@
 //!
 //! - *in the same period*: something is seen by the next sample, at most a period later, and the interrupt that it starts ends the outputs less
 //!   than a period later: [`SAMPLED`];
-//! - *within 64 periods*: the slow checks' turn, and as before;
+//! - *within 64 periods*: the slow checks' turn, and as before; *within 96* what they take from a slower look;
 //! - *after 3 periods*: the third sample in a row, and as before;
 //! - *after 25 ms*: [`AUTHORITY_TIME`], from when an observer is at its limit; until then it has to get there, which took up to 40 ms in
 //!   `tests/drive.rs`;
 //! - by the watchdog: 50 ms after it was last fed, which the main loop may do once more within its turn of 10 ms;
-//! - by an exception: a core that sleeps gets there by the next interrupt, a period later at most.
+//! - by an exception: a core that sleeps gets there by the next interrupt, a period later at most;
+//! - by heat: as [`Protection::thermal_time`](quasidrive::supervisor::Protection::thermal_time) has it.
 
 use super::bench::Bench;
-use super::{Case, Finding, PERIOD, Result, Stand};
+use super::{Case, Edit, Finding, PERIOD, Result, Stand, numbered};
 use crate::connect::in_words;
+use crate::scenario::{Controller, ShapeName};
 use crate::wired::circuit::{Leg, Rail, Short};
 use crate::wired::encoder::EncoderFault;
 use crate::wired::faults::Fault as Broken;
@@ -21,7 +23,7 @@ use crate::wired::pads::{ShuntFault, ThermistorFault};
 use anyhow::ensure;
 use quasidrive::drive::AUTHORITY_TIME;
 use quasidrive::fault::Fault;
-use quasidrive::supervisor::Mode;
+use quasidrive::supervisor::{Command, Mode};
 use std::num::NonZeroU32;
 use virtual_board::chip::Reset;
 
@@ -30,6 +32,9 @@ const SAMPLED: f64 = 2.0 * PERIOD;
 
 /// The slow checks' turn.
 const SLOW: f64 = 64.0 * PERIOD + SAMPLED;
+
+/// The same of a temperature, which is looked at every 32 periods.
+const HOT: f64 = 32.0 * PERIOD + SLOW;
 
 /// Shunts that disagree.
 const DISAGREEING: f64 = 2.0 * PERIOD + SAMPLED;
@@ -49,6 +54,20 @@ const EXCEPTION: f64 = 1.4 * PERIOD;
 /// Speed of the motor (rad/s).
 const SPEED: f32 = 100.0;
 
+/// A command's way by the link, as in [`agreement`](crate::emulated::agreement).
+const TRAVEL: f64 = 60.0 * PERIOD;
+
+/// What drives the motor beyond its highest speed (N·m, negative), and from which speed (rad/s). Against the drive's highest current, 1.06 N·m,
+/// it takes 0.9 ms to the limit of 300 rad/s; the observer, of 1170 rad/s, is settled three of its time constants later.
+const PULL: f64 = -2.0;
+const NEARLY_TOO_FAST: f32 = 290.0;
+const OVERSPEED: f64 = 0.9e-3 + 3.0 / 1170.0 + SAMPLED;
+
+/// An overload (N·m), with the friction 4.4 A, on a motor that carries 3 A for ever and has a thermal time of 0.1 s: it trips 62 ms after the current is
+/// there, for which a load step takes 7 ms (README).
+const OVERLOAD: f64 = 0.24;
+const HEATED: f64 = 62e-3 + 7e-3 + SLOW;
+
 /// How long a cause stays beyond its bound (s), and how long the bridge is watched to stay off then: two of the averages in which shunts are
 /// learnt anew, of which the first may have begun with the cause.
 const LONGER: f64 = 20e-3;
@@ -59,8 +78,8 @@ const STAYING: f64 = 0.12;
 enum Cause {
     /// Something around the board.
     World(Broken),
-    /// Something in it; the interrupts are let go afterwards.
-    Board(fn(&Bench)),
+    /// Something in it, or several things; the interrupts are let go afterwards.
+    Board(fn(&mut Bench) -> Result<()>),
     /// The host says nothing more.
     Silence,
     /// The host says nothing but this.
@@ -70,8 +89,12 @@ enum Cause {
 struct Trip {
     name: &'static str,
     speed: f32,
+    /// What is other than the campaign's scenario.
+    edit: Option<Edit>,
     cause: Cause,
     bound: f64,
+    /// How long the cause stays beyond the bound (s).
+    longer: f64,
     /// One of these must be told, and nothing else.
     told: &'static [Fault],
     why: &'static str,
@@ -85,12 +108,28 @@ impl Trip {
         told: &'static [Fault],
         why: &'static str,
     ) -> Self {
-        Self { name, speed: SPEED, cause: Cause::World(fault), bound, told, why }
+        Self::by(name, Cause::World(fault), bound, told, why)
     }
 
-    const fn board(name: &'static str, act: fn(&Bench), bound: f64, why: &'static str) -> Self {
-        let told = &[Fault::WatchdogReset];
-        Self { name, speed: SPEED, cause: Cause::Board(act), bound, told, why }
+    const fn board(
+        name: &'static str,
+        act: fn(&mut Bench) -> Result<()>,
+        bound: f64,
+        told: &'static [Fault],
+        why: &'static str,
+    ) -> Self {
+        Self::by(name, Cause::Board(act), bound, told, why)
+    }
+
+    const fn by(
+        name: &'static str,
+        cause: Cause,
+        bound: f64,
+        told: &'static [Fault],
+        why: &'static str,
+    ) -> Self {
+        let (speed, edit, longer) = (SPEED, None, LONGER);
+        Self { name, speed, edit, cause, bound, longer, told, why }
     }
 }
 
@@ -100,6 +139,7 @@ const STUCK: &[Fault] = &[Fault::BeyondAuthority, Fault::ModelMismatch];
 /// A high current through one shunt shows in several ways at once.
 const SHORTED: &[Fault] = &[Fault::Overcurrent, Fault::CurrentSensors, Fault::HardwareTrip];
 const DISAGREE: &[Fault] = &[Fault::CurrentSensors, Fault::Overcurrent];
+const RESET: &[Fault] = &[Fault::WatchdogReset];
 const BY_SHUNTS: &str = "the third sample in a row, or an over-current before";
 
 const fn short_of(leg: Leg, rail: Rail) -> Broken {
@@ -107,11 +147,47 @@ const fn short_of(leg: Leg, rail: Rail) -> Broken {
 }
 
 fn trips() -> Vec<Trip> {
-    use Broken::{BoardTemperature, CurrentSensor, Encoder, Supply, Thermistor};
+    use Broken::{BoardTemperature, CurrentSensor, Encoder, Load, Supply, Thermistor};
     let two = NonZeroU32::MIN.saturating_add(1);
     vec![
         Trip::world("over-voltage", Supply(30.0), SAMPLED, &[Fault::BusOvervoltage], SAME),
         Trip::world("under-voltage", Supply(7.0), SAMPLED, &[Fault::BusUndervoltage], SAME),
+        Trip {
+            speed: NEARLY_TOO_FAST,
+            // Without the drive the motor would be far too fast soon.
+            longer: 0.0,
+            ..Trip::world(
+                "overspeed: driven on by its load",
+                Load(PULL),
+                OVERSPEED,
+                &[Fault::Overspeed],
+                "the observer's settling beyond the limit",
+            )
+        },
+        Trip {
+            edit: Some(|scenario| {
+                scenario.protection.continuous_current = Some(3.0);
+                scenario.protection.thermal_time = 0.1;
+            }),
+            ..Trip::world(
+                "overload",
+                Load(OVERLOAD),
+                HEATED,
+                &[Fault::Overload],
+                "the thermal time, a load step's recovery and a turn of the slow checks",
+            )
+        },
+        Trip {
+            // Without the drive the load would turn the motor back.
+            longer: 0.0,
+            ..Trip::world(
+                "twice the largest configured load",
+                Load(0.6),
+                EXHAUSTED,
+                &[Fault::BeyondAuthority],
+                BEYOND,
+            )
+        },
         Trip::world(
             "over-current, by software: motor shorted, driven forward",
             Broken::MotorShorted,
@@ -120,15 +196,18 @@ fn trips() -> Vec<Trip> {
             "a pulse within a period, then the sample that shows it",
         ),
         Trip {
-            name: "over-current, by the comparator: motor shorted, driven backward, the control interrupt held off",
             speed: -SPEED,
-            cause: Cause::Board(|bench| {
-                bench.emulated.board().force_interrupt(18, Some(false));
-                bench.inject(Broken::MotorShorted, 1e-3);
-            }),
-            bound: SAMPLED,
-            told: &[Fault::HardwareTrip, Fault::Overrun, Fault::Overcurrent, Fault::CurrentSensors],
-            why: "a pulse within a period, and no software",
+            ..Trip::board(
+                "over-current, by the comparator: motor shorted, driven backward, the control interrupt held off",
+                |bench| {
+                    bench.emulated.board().force_interrupt(18, Some(false));
+                    bench.inject(Broken::MotorShorted, 1e-3);
+                    Ok(())
+                },
+                SAMPLED,
+                &[Fault::HardwareTrip, Fault::Overrun, Fault::Overcurrent, Fault::CurrentSensors],
+                "a pulse within a period, and no software",
+            )
         },
         Trip::world(
             "U touches ground",
@@ -168,6 +247,16 @@ fn trips() -> Vec<Trip> {
             BEYOND,
         ),
         Trip::world("encoder frozen", Encoder(EncoderFault::Frozen), EXHAUSTED, STUCK, BEYOND),
+        Trip {
+            edit: Some(|scenario| scenario.control.controller = Controller::Pi),
+            ..Trip::world(
+                "encoder frozen, under PI",
+                Encoder(EncoderFault::Frozen),
+                EXHAUSTED,
+                &[Fault::ModelMismatch],
+                "25 ms beyond what the armature's model covers, which full current does within 40 ms",
+            )
+        },
         Trip::world("encoder reversed", Encoder(EncoderFault::Reversed), EXHAUSTED, STUCK, BEYOND),
         Trip::world(
             "encoder loses every other count",
@@ -175,6 +264,13 @@ fn trips() -> Vec<Trip> {
             EXHAUSTED,
             STUCK,
             BEYOND,
+        ),
+        Trip::world(
+            "encoder: a burst of 100 counts",
+            Encoder(EncoderFault::Burst(100)),
+            SAMPLED,
+            &[Fault::EncoderJump],
+            SAME,
         ),
         Trip::world(
             "U's current stuck at 8 A",
@@ -225,77 +321,123 @@ fn trips() -> Vec<Trip> {
             DISAGREE,
             "the shunts differ by 4 A and noise, three samples in a row",
         ),
+        Trip {
+            edit: Some(|scenario| scenario.reference.shape = ShapeName::Step),
+            ..Trip::board(
+                "U's current sensor shows half, the speed is reversed",
+                |bench| {
+                    let half = CurrentSensor(Leg::U, ShuntFault::Gain(0.5));
+                    bench.inject(half, TRAVEL + PULSE + DISAGREEING + LONGER);
+                    Ok(bench.client.command(Command::Speed(-SPEED))?)
+                },
+                TRAVEL + PULSE + DISAGREEING,
+                DISAGREE,
+                "the command's way, a period until 18 A flow, the third sample in a row",
+            )
+        },
         Trip::world(
             "over-temperature",
             BoardTemperature(95.0),
-            SLOW,
+            HOT,
             &[Fault::Overtemperature],
-            "a turn of the slow checks",
+            "a turn of the slow checks after the next look",
         ),
         Trip::world(
             "thermistor open",
             Thermistor(ThermistorFault::Open),
-            SLOW,
+            HOT,
             &[Fault::TemperatureSensor],
-            "a turn of the slow checks",
+            "a turn of the slow checks after the next look",
         ),
         Trip::world(
             "thermistor shorted",
             Thermistor(ThermistorFault::Shorted),
-            SLOW,
+            HOT,
             &[Fault::TemperatureSensor],
-            "a turn of the slow checks",
+            "a turn of the slow checks after the next look",
         ),
-        Trip {
-            name: "commands lost",
-            speed: SPEED,
-            cause: Cause::Silence,
-            bound: COMMAND_LOST,
-            told: &[Fault::CommandLost],
-            why: "command_timeout, stop_time and three turns of the slow checks",
-        },
-        Trip {
-            name: "nothing but garbage on the line",
-            speed: SPEED,
-            cause: Cause::Garbage,
-            bound: COMMAND_LOST,
-            told: &[Fault::CommandLost],
-            why: "garbage is no sign of life: as commands lost",
-        },
+        Trip::by(
+            "commands lost",
+            Cause::Silence,
+            COMMAND_LOST,
+            &[Fault::CommandLost],
+            "command_timeout, stop_time and three turns of the slow checks",
+        ),
+        Trip::by(
+            "nothing but garbage on the line",
+            Cause::Garbage,
+            COMMAND_LOST,
+            &[Fault::CommandLost],
+            "garbage is no sign of life: as commands lost",
+        ),
         Trip::board(
             "panic",
             |bench| {
-                assert!(bench.emulated.board().jump_to("rust_begin_unwind"), "no panic handler")
+                let is_there = bench.emulated.board().jump_to("rust_begin_unwind");
+                ensure!(is_there, "no panic handler");
+                Ok(())
             },
             EXCEPTION,
+            RESET,
             "the handler's first instruction",
         ),
         Trip::board(
             "hard fault",
-            |bench| bench.emulated.board().jump(0x1fff_fff0),
+            |bench| {
+                bench.emulated.board().jump(0x1fff_fff0);
+                Ok(())
+            },
             EXCEPTION,
+            RESET,
             "the handler's first instruction",
         ),
         Trip::board(
             "stack overflow",
-            |bench| bench.emulated.board().exhaust_stack(16),
+            |bench| {
+                bench.emulated.board().exhaust_stack(16);
+                Ok(())
+            },
             EXCEPTION,
+            RESET,
             "lock-up, which is a break",
         ),
         Trip::board(
             "control interrupt stuck on",
-            |bench| bench.emulated.board().force_interrupt(18, Some(true)),
+            |bench| {
+                bench.emulated.board().force_interrupt(18, Some(true));
+                Ok(())
+            },
             WATCHDOG,
+            RESET,
             "the watchdog, fed once more at most",
         ),
         Trip::board(
             "control interrupt stuck off",
-            |bench| bench.emulated.board().force_interrupt(18, Some(false)),
+            |bench| {
+                bench.emulated.board().force_interrupt(18, Some(false));
+                Ok(())
+            },
             WATCHDOG,
+            RESET,
             "the watchdog, fed once more at most",
+        ),
+        Trip::board(
+            "control interrupt left out once",
+            |bench| {
+                bench.emulated.board().force_interrupt(18, Some(false));
+                bench.emulated.run(HELD_OFF)?;
+                bench.emulated.board().force_interrupt(18, None);
+                Ok(())
+            },
+            HELD_OFF + SAMPLED,
+            &[Fault::Overrun],
+            "the next one's period",
         ),
     ]
 }
+
+/// Long enough for two control interrupts to come, of which one is lost.
+const HELD_OFF: f64 = 2.0 * PERIOD;
 
 /// Silence, then a stop that takes its longest, as the campaign's parameters have it.
 const COMMAND_LOST: f64 = 0.3 + 0.5 + 3.0 * 64.0 * PERIOD;
@@ -308,39 +450,40 @@ pub fn cases() -> Vec<Case> {
         // Multiples of the golden ratio: the faults are spread over the period.
         play: Box::new(move |stand| trip.play(stand, (0.618 * index as f64).fract())),
     });
-    trips.chain([button(), clock(), current_zero()]).collect()
+    trips.chain([button(), clock(), current_zero(), stuck_timer()]).collect()
 }
 
 fn names(faults: &[Fault]) -> String {
-    let names: Vec<_> = faults.iter().map(|fault| format!("{} {fault}", *fault as u8)).collect();
+    let names: Vec<_> = faults.iter().copied().map(numbered).collect();
     names.join(" or ")
 }
 
 impl Trip {
     /// Plays it; it happens at a share of the PWM period.
     fn play(&self, stand: &Stand, share: f64) -> Result<Finding> {
-        let mut bench = stand.running(self.speed)?;
+        let mut bench = match self.edit {
+            None => stand.running(self.speed)?,
+            Some(edit) => stand.running_with(self.speed, edit)?,
+        };
         bench.emulated.run(share * PERIOD)?;
-        let injected = self.strike(&bench)?;
+        let injected = self.strike(&mut bench)?;
         bench.emulated.board().force_interrupt(18, None);
         let mut finding =
             Finding { off_after: Some(bench.off_since() - injected), ..Finding::default() };
-        finding.failure = self
-            .judge(&mut bench, injected, &mut finding.found)
-            .err()
-            .map(|error| format!("{error:#}"));
+        let judged = self.judge(&mut bench, injected, &mut finding);
+        finding.failure = judged.err().map(|error| format!("{error:#}"));
         Ok(finding)
     }
 
     /// Breaks it, and plays on a little beyond the bound. Gives when it broke.
-    fn strike(&self, bench: &Bench) -> Result<f64> {
-        let lasts = self.bound + LONGER;
+    fn strike(&self, bench: &mut Bench) -> Result<f64> {
+        let lasts = self.bound + self.longer;
         let end = bench.emulated.time() + lasts;
         let injected = match self.cause {
             Cause::World(fault) => bench.inject(fault, lasts),
             Cause::Board(act) => {
                 let now = bench.emulated.time();
-                act(bench);
+                act(bench)?;
                 now
             }
             Cause::Silence => bench.emulated.time(),
@@ -364,17 +507,18 @@ impl Trip {
         Ok(injected)
     }
 
-    fn judge(&self, bench: &mut Bench, injected: f64, found: &mut String) -> Result<()> {
+    fn judge(&self, bench: &mut Bench, injected: f64, finding: &mut Finding) -> Result<()> {
         let off = bench.off_since();
         ensure!(bench.is_off(), "the bridge is on");
         ensure!(off - injected <= self.bound, "off too late");
-        let is_by_watchdog = self.told == [Fault::WatchdogReset];
+        let is_by_watchdog = self.told == RESET;
         if is_by_watchdog {
             bench.emulated.run(WATCHDOG)?;
         }
         let resets: Vec<_> = bench.emulated.board().resets()[1..].to_vec();
         let status = if resets.is_empty() { bench.client.status()? } else { bench.reconnect()? };
-        *found = in_words(&status);
+        finding.found = in_words(&status);
+        finding.told = status.faults;
         ensure!(status.mode == Mode::Faulted, "the drive is not faulted");
         let told: Vec<_> = status.faults.iter().collect();
         ensure!(told.iter().any(|fault| self.told.contains(fault)), "the right fault is not told");
@@ -388,6 +532,10 @@ impl Trip {
             "resets: {resets:?}"
         );
         bench.is_refused(STAYING)?;
+        // What was driven on must have coasted down to be armed.
+        while bench.speed().abs() > self.speed.abs().into() {
+            bench.is_refused(STAYING)?;
+        }
         ensure!(bench.is_off() && bench.off_since() == off, "the bridge does not stay off");
         bench.recover(self.speed)?;
         let misuse = bench.misuse();
@@ -419,7 +567,11 @@ fn button() -> Case {
                 in_words(&status)
             );
             bench.start(SPEED)?;
-            Ok(Finding { off_after: Some(off - injected), found: in_words(&status), failure: None })
+            Ok(Finding {
+                off_after: Some(off - injected),
+                found: in_words(&status),
+                ..Finding::default()
+            })
         }),
     }
 }
@@ -445,7 +597,7 @@ fn clock() -> Case {
                 "resets: {resets:?}"
             );
             let found = format!("{} resets by the watchdog, outputs off", resets.len());
-            Ok(Finding { off_after: Some(off_after), found, failure: None })
+            Ok(Finding { off_after: Some(off_after), found, ..Finding::default() })
         }),
     }
 }
@@ -475,7 +627,34 @@ fn current_zero() -> Case {
             );
             bench.is_refused(STAYING)?;
             ensure!(bench.off_since() == 0.0 && bench.is_off(), "the bridge was on");
-            Ok(Finding { found: in_words(&status), ..Finding::default() })
+            Ok(Finding { told: status.faults, found: in_words(&status), ..Finding::default() })
+        }),
+    }
+}
+
+/// A timer that does not count when power comes.
+fn stuck_timer() -> Case {
+    Case {
+        name: "TIM1 stands still from the start",
+        demand: format!("off for good, even when cleared; {}", names(&[Fault::SelfTest])),
+        bound: None,
+        play: Box::new(|stand| {
+            let emulated = Bench::powered(&stand.image, &stand.scenario, Some(&stand.saved));
+            emulated.board().stop_bridge_timer();
+            emulated.run(0.05)?;
+            let mut bench = Bench { client: emulated.client()?, emulated };
+            let status = bench.watch(STAYING)?;
+            ensure!(
+                status.mode == Mode::Faulted && status.faults.contains(Fault::SelfTest),
+                "{}",
+                in_words(&status)
+            );
+            bench.is_refused(STAYING)?;
+            // There is nobody to clear it.
+            let _ = bench.client.command(Command::Clear);
+            bench.is_refused(STAYING)?;
+            ensure!(bench.off_since() == 0.0 && bench.is_off(), "the bridge was on");
+            Ok(Finding { told: status.faults, found: in_words(&status), ..Finding::default() })
         }),
     }
 }
