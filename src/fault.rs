@@ -187,7 +187,7 @@ impl Fault {
             ),
             Self::CurrentSensors => (
                 "current sensors",
-                "the shunts of the two legs did not show the same current, or one of them is at the end of its range",
+                "the shunts of the two legs did not show the same current",
                 "outputs off after 3 periods",
                 "look for a motor lead that touches ground or supply; else repair the board",
             ),
@@ -205,7 +205,7 @@ impl Fault {
             ),
             Self::Overrun => (
                 "overrun",
-                "the control interrupt started or ended too late for its period, with outputs on",
+                "the control interrupt was left out, started or ended too late for its period, or a debugger halted the core, with outputs on",
                 off_at_once,
                 "report it, with what else ran",
             ),

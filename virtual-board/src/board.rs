@@ -335,6 +335,11 @@ impl<W: World> VirtualBoard<W> {
         self.next = self.now;
     }
 
+    /// Leaves the core as a debugger does that has halted it for a moment: it can tell.
+    pub fn was_halted(&mut self) {
+        self.cpu.was_halted();
+    }
+
     /// Lets the core go on at a function, by a part of its name; if it sleeps, when it wakes. Tells whether there is one.
     pub fn jump_to(&mut self, function: &str) -> bool {
         let address = self.image.function(function).map(|function| function.code.start);

@@ -1,6 +1,7 @@
 //! The core's accesses: instructions and data, from memory, bus and the core's own registers.
 
 use super::exception::{Done, Fault};
+use super::own::{ACTLR, DFSR};
 use super::{Bus, Cpu};
 use crate::chip::flash;
 use crate::memory::{CCM_SIZE, Ram, SRAM_SIZE};
@@ -190,13 +191,20 @@ impl Cpu {
     /// Reads from the core's own registers, words of which a part may be taken.
     pub(super) fn load_own(&mut self, address: u32, size: usize) -> Done<u32> {
         self.check_modelled(address, 0, None);
-        let word = match address & !3 {
-            DWT_PCSR => Some(self.address),
-            word => self.sys.read_word(word, false),
-        };
+        let word = self.own_word(address, false);
         let word = word.ok_or_else(|| self.bus_fault(address, Access::Read))?;
         let value = u64::from(word) >> (8 * (address & 3));
         Ok(value as u32 & u32::MAX >> (32 - 8 * size))
+    }
+
+    /// One of the core's own registers, without the effects of reading if `quietly`.
+    fn own_word(&mut self, address: u32, quietly: bool) -> Option<u32> {
+        match address & !3 {
+            DWT_PCSR => Some(self.address),
+            ACTLR => Some(self.actlr),
+            DFSR => Some(self.dfsr),
+            word => self.sys.read_word(word, quietly),
+        }
     }
 
     pub(super) fn store_own(&mut self, address: u32, size: usize, value: u32) -> Done {
@@ -204,7 +212,7 @@ impl Cpu {
         let shift = 8 * (address & 3);
         let mask = (u32::MAX >> (32 - 8 * size)) << shift;
         // Without the effects of reading.
-        let old = self.sys.read_word(address, true);
+        let old = self.own_word(address, true);
         let word = if size == 4 {
             Some(value)
         } else {
@@ -214,7 +222,17 @@ impl Cpu {
         if let (Some(old), Some(new)) = (old, word) {
             self.check_modelled(address, old ^ new, Some(value));
         }
-        let is_stored = word.is_some_and(|word| self.sys.write_word(address, word));
+        let is_stored = word.is_some_and(|word| match address & !3 {
+            ACTLR => {
+                self.actlr = word;
+                true
+            }
+            DFSR => {
+                self.dfsr &= !word;
+                true
+            }
+            _ => self.sys.write_word(address, word),
+        });
         if is_stored { Ok(()) } else { Err(self.bus_fault(address, Access::Write)) }
     }
 

@@ -86,6 +86,8 @@ pub struct Cpu {
     basepri: u8,
     control: u32,
     sys: Sys,
+    actlr: u32,
+    dfsr: u32,
     fpu: Fpu,
     /// What LDREX has marked.
     exclusive: Option<u32>,
@@ -135,6 +137,8 @@ impl Cpu {
             basepri: 0,
             control: 0,
             sys,
+            actlr: 0,
+            dfsr: 0,
             fpu: Fpu::new(),
             exclusive: None,
             event: false,
@@ -283,6 +287,12 @@ impl Cpu {
     /// Lets it go on elsewhere.
     pub fn jump(&mut self, address: u32) {
         self.r[15] = address & !1;
+    }
+
+    /// As a debugger leaves the core that it has halted for a moment.
+    pub fn was_halted(&mut self) {
+        // HALTED
+        self.dfsr |= 1;
     }
 
     /// The last address without memory that it reached for, if it did.

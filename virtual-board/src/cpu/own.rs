@@ -5,11 +5,18 @@ use super::Cpu;
 use crate::chip::{Cause, Refused};
 use std::ops::RangeInclusive;
 
+/// Auxiliary control register.
+pub(super) const ACTLR: u32 = 0xe000_e008;
+
+/// Debug fault status register: why the core was halted. Cleared by writing ones.
+pub(super) const DFSR: u32 = 0xe000_ed30;
+
 /// First and last register, and the bits that a write may change in each.
-const MODELLED: [(RangeInclusive<u32>, u32); 24] = [
+const MODELLED: [(RangeInclusive<u32>, u32); 26] = [
     (0xe000_1000..=0xe000_1000, 1),           // DWT_CTRL: CYCCNTENA
     (0xe000_1004..=0xe000_1004, !0),          // DWT_CYCCNT
     (0xe000_101c..=0xe000_101c, 0),           // DWT_PCSR
+    (ACTLR..=ACTLR, 1 << 1),                  // DISDEFWBUF: there is no write buffer
     (0xe000_e100..=0xe000_e29c, !0),          // NVIC_ISER to NVIC_ICPR
     (0xe000_e300..=0xe000_e31c, 0),           // NVIC_IABR
     (0xe000_e400..=0xe000_e4ec, !0),          // NVIC_IPR
@@ -22,6 +29,7 @@ const MODELLED: [(RangeInclusive<u32>, u32); 24] = [
     (0xe000_ed18..=0xe000_ed20, !0),          // SHPR
     (0xe000_ed24..=0xe000_ed24, 0x0007_0000), // SHCSR: enables
     (0xe000_ed28..=0xe000_ed2c, !0),          // CFSR, HFSR
+    (DFSR..=DFSR, !0),
     (0xe000_ed34..=0xe000_ed38, !0),          // MMFAR, BFAR
     (0xe000_ed88..=0xe000_ed88, 0x00f0_0000), // CPACR: the floating-point unit
     (0xe000_ed90..=0xe000_edb8, !0),          // the memory protection unit

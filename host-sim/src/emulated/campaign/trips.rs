@@ -433,6 +433,29 @@ fn trips() -> Vec<Trip> {
             &[Fault::Overrun],
             "the next one's period",
         ),
+        // An even number: the encoder's reads are in the half of their buffer in which they are expected.
+        Trip::board(
+            "control interrupt left out twice",
+            |bench| {
+                bench.emulated.board().force_interrupt(18, Some(false));
+                bench.emulated.run(HELD_OFF + PERIOD)?;
+                bench.emulated.board().force_interrupt(18, None);
+                Ok(())
+            },
+            HELD_OFF + PERIOD + SAMPLED,
+            &[Fault::Overrun],
+            "the next one's period",
+        ),
+        Trip::board(
+            "halted by a debugger for a moment",
+            |bench| {
+                bench.emulated.board().was_halted();
+                Ok(())
+            },
+            SAMPLED,
+            &[Fault::Overrun],
+            "the next sample's period",
+        ),
     ]
 }
 
