@@ -114,7 +114,8 @@ impl Encoder {
                 w.set_dir(direction);
                 w.set_circ(true);
                 w.set_minc(increment);
-                w.set_psize(Size::BITS16);
+                // A half-word that is written to a register stands in its other half too (RM0440, 2.1.5); as a word it is extended by zeros.
+                w.set_psize(Size::BITS32);
                 w.set_msize(Size::BITS16);
                 w.set_pl(Pl::VERY_HIGH);
                 w.set_en(true);
