@@ -217,7 +217,7 @@ fn row(calls: &[Cost], has_cycles: bool) -> Result<String> {
 
 /// The control interrupt of the image that is flashed, with the motor driven: what `host-sim board` counts and estimates.
 fn control_interrupt(table: &mut String) -> Result<()> {
-    let played = cargo(&["run", "--quiet", "--release", "--package", "host-sim", "--"])
+    let played = cargo(&["run", "--quiet", "--package", "host-sim", "--"])
         .args(&["board", "host-sim/scenarios/esc1.toml", "--duration", BOARD_DURATION, "--json"])
         .read()?;
     let played: Value = serde_json::from_str(&played)?;
@@ -318,7 +318,7 @@ impl Trace {
             .collect();
         let qemu = ["-singlestep", "-d", "exec,nochain", "-dfilter", &filter.join(","), "-D"];
         let qemu = qemu.map(|argument| format!("--qemu-argument={argument}"));
-        cargo(&["run", "--quiet", "--release", "--package", "host-sim", "--"])
+        cargo(&["run", "--quiet", "--package", "host-sim", "--"])
             .args(&["run", &format!("host-sim/scenarios/{scenario}.toml")])
             .args(&["--duration", DURATION, "--json"])
             .args(&["--controller", controller, "--controller-on", "qemu"])

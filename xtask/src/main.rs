@@ -137,13 +137,18 @@ fn host_sim(arguments: &[&str]) -> Result<()> {
     cargo(&["run", "--release", "--package", "host-sim", "--"]).args(arguments).run()
 }
 
+/// The same as `cargo test` builds it, which the tests have done already: the same bits, with checks of overflow.
+fn tested_host_sim(arguments: &[&str]) -> Result<()> {
+    cargo(&["run", "--package", "host-sim", "--"]).args(arguments).run()
+}
+
 /// The drive in QEMU, held to the host's bits: the paper's whole cycle for each of its controllers; a second of it on a board's
 /// sensors for every other; the other core, which runs the same image; and all controllers on the cores without an FPU.
 fn processor_in_the_loop() -> Result<()> {
     let play = |scenario: &str, controller: &str, machine: &str, more: &[&str]| {
         let file = format!("host-sim/scenarios/{scenario}.toml");
         let on_qemu = ["run", &file, "--controller-on", "qemu", "--machine", machine];
-        host_sim(&[&on_qemu[..], &["--controller", controller], more].concat())
+        tested_host_sim(&[&on_qemu[..], &["--controller", controller], more].concat())
     };
     for controller in ["bs", "bs-qsmdo", "bs-qismc"] {
         play("paper", controller, "mps2-an386", &[])?;
@@ -167,11 +172,9 @@ fn processor_in_the_loop() -> Result<()> {
 /// The board's image, byte for byte, on the emulated board: what it does by itself, the paper's cycle held against the averaged board, and the
 /// fault campaign. In `cargo test` these are ignored, for there is no image without a cross toolchain.
 fn virtual_board() -> Result<()> {
-    cargo(&["test", "--release", "--package", "virtual-board", "--", "--ignored"]).run()?;
-    cargo(&["test", "--release", "--package", "host-sim", "--test", "emulated", "--", "--ignored"])
-        .run()?;
-    host_sim(&["board", "host-sim/scenarios/esc1.toml", "--agreement"])?;
-    host_sim(&["campaign"])
+    cargo(&["test", "--workspace", "--", "--ignored"]).run()?;
+    tested_host_sim(&["board", "host-sim/scenarios/esc1.toml", "--agreement"])?;
+    tested_host_sim(&["campaign"])
 }
 
 fn test(toolchain: ToolchainChoice) -> Result<()> {
