@@ -256,7 +256,8 @@ impl<'a> Qemu<'a> {
         Ok(bytes.map(u32::from_le_bytes))
     }
 
-    /// Waits awake: put to sleep for every byte, this side and QEMU would take five times as long between them.
+    /// Waits awake: put to sleep for every byte, this side and QEMU would take five times as long between them. But whoever else has something to do
+    /// has it done meanwhile, another QEMU for one.
     fn read_exact(&mut self, mut rest: &mut [u8]) -> std::io::Result<()> {
         let start = Instant::now();
         while !rest.is_empty() {
@@ -266,7 +267,7 @@ impl<'a> Qemu<'a> {
                 Err(error) if error.kind() != ErrorKind::WouldBlock => return Err(error),
                 Err(error) if start.elapsed() > self.patience => return Err(error),
                 Err(_) if self.interrupted.load(Relaxed) => return Err(interrupted()),
-                Err(_) => std::hint::spin_loop(),
+                Err(_) => std::thread::yield_now(),
             }
         }
         Ok(())

@@ -11,7 +11,7 @@ use crate::cross::Cross;
 use crate::cycles::cycles;
 use crate::debug_info::DebugInfo;
 use crate::interrupt;
-use crate::shell::{cargo, root};
+use crate::shell::{cargo, joined, root};
 use crate::size::Size;
 use crate::thumb::{Code, Meaning};
 use anyhow::{Context, Result, bail, ensure};
@@ -23,6 +23,7 @@ use std::fs::{self, File};
 use std::io::{BufRead, BufReader};
 use std::ops::Range;
 use std::path::Path;
+use std::thread;
 
 /// Simulated time that is counted (s): 1000 periods with the steepest transient.
 const DURATION: &str = "0.05";
@@ -123,10 +124,16 @@ fn table(cross: &Cross) -> Result<String> {
         "executed instructions, and cycles of the dearest call (a model, about ±15 %)\n",
     );
     writeln!(table, "{:<43} {:>5} {:>7} {:>7} {:>7}", "", "min", "mean", "max", "cycles")?;
-    for core in CORES {
-        let data = read(&cross.firmware(core.board)?)?;
-        instructions(&core, &object::File::parse(&*data)?, &mut table)?;
+    for core in &CORES {
+        cross.firmware(core.board)?;
     }
+    thread::scope(|scope| {
+        let cores = CORES.each_ref().map(|core| scope.spawn(|| instructions(core)));
+        for rows in cores {
+            table.push_str(&joined(rows.join())?);
+        }
+        anyhow::Ok(())
+    })?;
     cross.firmware(&boards::B_G431B_ESC1)?;
     control_interrupt(&mut table)?;
     for (board, scalar) in
@@ -151,8 +158,11 @@ fn read(elf: &Path) -> Result<Vec<u8>> {
     fs::read(elf).with_context(|| format!("cannot read {}", elf.display()))
 }
 
-/// The rows of a core.
-fn instructions(core: &Core, image: &object::File, table: &mut String) -> Result<()> {
+/// The rows of a core, whose firmware is built.
+fn instructions(core: &Core) -> Result<String> {
+    let mut table = String::new();
+    let data = read(&core.board.image())?;
+    let image = &object::File::parse(&*data)?;
     let calibration = function(image, "5board4qemu", "11calibration")?;
     let step = function(image, "5drive", "Drive$LT$S$GT$4step")?;
     let paper = function(image, "7control5paper", "Paper$LT$S$GT$7control")?;
@@ -201,7 +211,7 @@ fn instructions(core: &Core, image: &object::File, table: &mut String) -> Result
         let is_in_step = |address| in_step.iter().any(|range| range.contains(&address));
         row("Drive::step", trace.calls(&step, is_in_step))?;
     }
-    Ok(())
+    Ok(table)
 }
 
 /// The numbers of a row of the table.
@@ -217,7 +227,7 @@ fn row(calls: &[Cost], has_cycles: bool) -> Result<String> {
 
 /// The control interrupt of the image that is flashed, with the motor driven: what `host-sim board` counts and estimates.
 fn control_interrupt(table: &mut String) -> Result<()> {
-    let played = cargo(&["run", "--quiet", "--release", "--package", "host-sim", "--"])
+    let played = cargo(&["run", "--quiet", "--package", "host-sim", "--"])
         .args(&["board", "host-sim/scenarios/esc1.toml", "--duration", BOARD_DURATION, "--json"])
         .read()?;
     let played: Value = serde_json::from_str(&played)?;
@@ -311,14 +321,14 @@ impl Trace {
         functions: &[&Range<u64>],
         code: &Code,
     ) -> Result<Self> {
-        let log = root().join("target/firmware/trace.log");
+        let log = root().join(format!("target/firmware/trace-{}.log", core.machine));
         let filter: Vec<String> = functions
             .iter()
             .map(|range| format!("{:#x}+{:#x}", range.start, range.end - range.start))
             .collect();
         let qemu = ["-singlestep", "-d", "exec,nochain", "-dfilter", &filter.join(","), "-D"];
         let qemu = qemu.map(|argument| format!("--qemu-argument={argument}"));
-        cargo(&["run", "--quiet", "--release", "--package", "host-sim", "--"])
+        cargo(&["run", "--quiet", "--package", "host-sim", "--"])
             .args(&["run", &format!("host-sim/scenarios/{scenario}.toml")])
             .args(&["--duration", DURATION, "--json"])
             .args(&["--controller", controller, "--controller-on", "qemu"])

@@ -16,7 +16,7 @@ use anyhow::{Context, Result};
 use boards::{BOARDS, Board};
 use clap::{Parser, Subcommand};
 use cross::{Cross, ToolchainChoice};
-use shell::{cargo, program, root};
+use shell::{Shell, cargo, program, root, run_all};
 use std::process::ExitCode;
 
 /// The project's chores.
@@ -137,41 +137,46 @@ fn host_sim(arguments: &[&str]) -> Result<()> {
     cargo(&["run", "--release", "--package", "host-sim", "--"]).args(arguments).run()
 }
 
+/// The same as `cargo test` builds it, which the tests have done already: the same bits, with checks of overflow.
+fn tested_host_sim(arguments: &[&str]) -> Shell {
+    cargo(&["run", "--quiet", "--package", "host-sim", "--"]).args(arguments)
+}
+
 /// The drive in QEMU, held to the host's bits: the paper's whole cycle for each of its controllers; a second of it on a board's
 /// sensors for every other; the other core, which runs the same image; and all controllers on the cores without an FPU.
 fn processor_in_the_loop() -> Result<()> {
-    let play = |scenario: &str, controller: &str, machine: &str, more: &[&str]| {
+    let mut plays = Vec::new();
+    let mut play = |scenario: &str, controller: &str, machine: &str, more: &[&str]| {
         let file = format!("host-sim/scenarios/{scenario}.toml");
         let on_qemu = ["run", &file, "--controller-on", "qemu", "--machine", machine];
-        host_sim(&[&on_qemu[..], &["--controller", controller], more].concat())
+        let all = [&on_qemu[..], &["--controller", controller], more].concat();
+        plays.push(tested_host_sim(&all));
     };
     for controller in ["bs", "bs-qsmdo", "bs-qismc"] {
-        play("paper", controller, "mps2-an386", &[])?;
+        play("paper", controller, "mps2-an386", &[]);
     }
     for controller in ["drive-qsmdo", "drive-qismc", "pi", "ladrc"] {
-        play("encoder", controller, "mps2-an386", &["--duration", "1"])?;
+        play("encoder", controller, "mps2-an386", &["--duration", "1"]);
     }
-    play("load-step", "bs-qsmdo", "mps2-an500", &["--duration", "2"])?;
+    play("load-step", "bs-qsmdo", "mps2-an500", &["--duration", "2"]);
     for machine in ["mps2-an385", "microbit"] {
-        play("paper", "bs-qsmdo", machine, &["--duration", "2"])?;
+        play("paper", "bs-qsmdo", machine, &["--duration", "2"]);
         for controller in ["bs", "bs-qismc"] {
-            play("paper", controller, machine, &["--duration", "0.5"])?;
+            play("paper", controller, machine, &["--duration", "0.5"]);
         }
         for controller in ["drive-qsmdo", "drive-qismc", "pi", "ladrc"] {
-            play("encoder", controller, machine, &["--duration", "0.5"])?;
+            play("encoder", controller, machine, &["--duration", "0.5"]);
         }
     }
-    Ok(())
+    run_all(plays)
 }
 
 /// The board's image, byte for byte, on the emulated board: what it does by itself, the paper's cycle held against the averaged board, and the
 /// fault campaign. In `cargo test` these are ignored, for there is no image without a cross toolchain.
 fn virtual_board() -> Result<()> {
-    cargo(&["test", "--release", "--package", "virtual-board", "--", "--ignored"]).run()?;
-    cargo(&["test", "--release", "--package", "host-sim", "--test", "emulated", "--", "--ignored"])
-        .run()?;
-    host_sim(&["board", "host-sim/scenarios/esc1.toml", "--agreement"])?;
-    host_sim(&["campaign"])
+    cargo(&["test", "--workspace", "--", "--ignored"]).run()?;
+    tested_host_sim(&["board", "host-sim/scenarios/esc1.toml", "--agreement"]).run()?;
+    tested_host_sim(&["campaign"]).run()
 }
 
 fn test(toolchain: ToolchainChoice) -> Result<()> {

@@ -5,6 +5,8 @@ use std::ffi::OsStr;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitStatus, Stdio};
+use std::sync::Mutex;
+use std::thread;
 
 /// The repository's root.
 pub fn root() -> &'static Path {
@@ -95,8 +97,46 @@ impl Shell {
     }
 }
 
+/// Runs all, as many at once as there are processors, and prints what each printed when it has ended. Fails if one does.
+pub fn run_all(commands: Vec<Shell>) -> Result<()> {
+    let left = Mutex::new(commands.into_iter());
+    let take = || left.lock().ok()?.next();
+    let work = || -> Result<()> {
+        while let Some(command) = take() {
+            print!("{}", command.read()?);
+        }
+        Ok(())
+    };
+    let count = thread::available_parallelism().map_or(1, usize::from);
+    thread::scope(|scope| {
+        let workers: Vec<_> = (0..count).map(|_| scope.spawn(work)).collect();
+        workers.into_iter().try_for_each(|worker| joined(worker.join()))
+    })
+}
+
+/// What a thread gave.
+pub fn joined<T>(result: thread::Result<Result<T>>) -> Result<T> {
+    result.unwrap_or_else(|_| bail!("a thread panicked"))
+}
+
 /// Where a program is on the PATH.
 pub fn find(name: &str) -> Option<PathBuf> {
     let path = std::env::var_os("PATH")?;
     std::env::split_paths(&path).map(|folder| folder.join(name)).find(|file| file.is_file())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn all_are_run_and_one_that_fails_is_told() {
+        let folder = root().join("target/run_all");
+        let touch = |name: &str| program("mkdir").args(&["-p"]).args(&[folder.join(name)]);
+        run_all((0..5).map(|number| touch(&number.to_string())).collect()).expect("none fails");
+        assert_eq!(std::fs::read_dir(&folder).expect("made").count(), 5);
+        std::fs::remove_dir_all(&folder).expect("removed");
+        let error = run_all(vec![program("true"), program("false"), program("true")]);
+        assert!(error.expect_err("one fails").to_string().starts_with("`false` failed"));
+    }
 }
