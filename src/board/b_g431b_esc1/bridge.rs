@@ -48,8 +48,9 @@ pub const PERIOD: u32 = 2 * TOP as u32;
 /// PWM and sampling rate (Hz): 20.009 kHz.
 pub const RATE: f32 = CLOCK as f32 / PERIOD as f32;
 
-/// Ticks from the trigger of the converters to the trough: 3.5 cycles of latency and 12.5 of sampling, of 4 ticks each.
-pub const SAMPLE_BEFORE: u16 = 64;
+/// Ticks from the trigger of the converters to the trough: 2.125 cycles of latency, with a clock that is a quarter of the timers' (data sheet,
+/// ADC characteristics), and 12.5 of sampling, of 4 ticks each: 58.5.
+pub const SAMPLE_BEFORE: u16 = 59;
 
 /// Dead time (ticks): 0.8 µs. Boards run with 0.25 to 1 µs; the drivers (L6387E) interlock their inputs but delay by up to 0.15 µs.
 const DEAD_TIME: u16 = 136;

@@ -4,7 +4,7 @@
 //! 1 copies TIM4's counter. The compare value shifts all reads of a period: earlier by a random part of their distance, so that no speed
 //! beats with them ([`Reads::Shifted`](crate::sense::Reads::Shifted)). A shift must change between the last read of a period and the first of the
 //! next, when the core has other things to do: DMA channel 2 brings it to the compare value's preload together with the converters' trigger,
-//! 64 ticks before the trough, and the trough makes it take effect.
+//! [just before](super::bridge::SAMPLE_BEFORE) the trough, and the trough makes it take effect.
 //!
 //! The core takes the counter as it is: 16 bits that wrap. No position is kept.
 
