@@ -69,6 +69,10 @@ pub enum Reason {
     Blocked,
     /// There was a back-EMF, but the encoder did not count.
     EncoderMissing,
+    /// While it was measured the current was not what the voltage makes, or stood still.
+    CurrentLost,
+    /// While it was measured the speed was not what the back-EMF tells.
+    EncoderLost,
     /// At the least current that its sensor shows the shaft would be beyond the limits of speed or travel before it could be turned back.
     TooQuick,
     /// The currents that limits allow are within their own ripple, where what brushes and dead time take looks like resistance.
@@ -95,10 +99,16 @@ impl fmt::Display for Reason {
             Self::Turning => "the shaft turned with outputs off",
             Self::CurrentZero => "the current sensor showed a current with outputs off",
             Self::NoisyCurrent => "the current limit is too low for the noise of the current",
-            Self::LeadOpen => "no current flowed: a motor lead is open",
+            Self::LeadOpen => "no current was seen: a motor lead is open, or the current sensor is dead",
             Self::Unexplained => "pulses of voltage made a current that no armature makes",
             Self::Blocked => "the shaft did not turn: it is blocked",
             Self::EncoderMissing => "the motor turned, and the encoder did not count",
+            Self::CurrentLost => {
+                "the current is not what the voltage makes: its sensor died, or a motor lead opened"
+            }
+            Self::EncoderLost => {
+                "the speed is not what the back-EMF tells: the encoder died, or the current sensor"
+            }
             Self::TooQuick => "the limits of speed or travel leave no time to turn the shaft back",
             Self::Ripple => "the currents that the limits allow are within their own ripple",
             Self::Imprecise => "not known to within half of it: the limits leave too little to see",

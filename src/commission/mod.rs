@@ -39,6 +39,7 @@ mod fit;
 mod nameplate;
 mod pulses;
 pub mod tuning;
+mod watch;
 mod window;
 
 pub use findings::{Evidence, Findings, Reason, Value};
@@ -51,11 +52,12 @@ use crate::limits::Limits;
 use crate::math::{Scalar, sqrt};
 use crate::per_unit::Bases;
 use crate::sense::{Measured, Sensing, Sensors};
-use current::CurrentLoop;
+use current::{Armature, CurrentLoop};
 use findings::Fits;
 use fit::{Fit, Solution};
 use pulses::{Pulsed, Pulses};
 use serde::{Deserialize, Serialize};
+use watch::{Agrees, Watch};
 use window::{Period, Window};
 
 /// What is known before the motor is measured.
@@ -122,6 +124,9 @@ impl Progress {
 
 /// Periods that outputs are off at first.
 const REST: u32 = 2048;
+
+/// The current must not stand still for more than so many times as long as it did at rest.
+const STILL: u32 = 4;
 
 /// The current limit must be this many times the noise's deviation.
 const SIGNAL: f32 = 60.0;
@@ -259,6 +264,10 @@ pub struct Commission {
     acting: f32,
     pulses: Pulses,
     control: CurrentLoop,
+    watch: Watch,
+    /// Periods that the current has stood still, and the most at rest.
+    still: u32,
+    stillest: u32,
     /// The levels of the current (A), and what the higher one is at most.
     most: f32,
     high: f32,
@@ -318,6 +327,7 @@ impl Commission {
             Sensors::Exact => 0.0,
             Sensors::Codes(calibration) => calibration.current_per_code.abs(),
         };
+        let averaged = counted.max(WINDOW.0).min(4.0 * WINDOW.0);
         Ok(Self {
             phase: Phase::Rest,
             stopped: None,
@@ -345,7 +355,7 @@ impl Commission {
             last: Period::default(),
             speed: 0.0,
             speeds: [0.0; 2],
-            averaged: counted.max(WINDOW.0).min(4.0 * WINDOW.0),
+            averaged,
             angle: 0.0,
             late_angle: 0.0,
             start: 0.0,
@@ -353,6 +363,9 @@ impl Commission {
             acting: 0.0,
             pulses: Pulses::new(PULSE * limits.current_command),
             control: CurrentLoop::default(),
+            watch: Watch::new(limits.current_command, grain * timing.rate / averaged, averaged),
+            still: 0,
+            stillest: 0,
             most: HIGH * limits.current_command,
             high: 0.0,
             low: 0.0,
@@ -373,6 +386,9 @@ impl Commission {
         })
     }
 
+    pub fn debug(&mut self) -> [f32; 2] {
+        core::mem::take(&mut self.watch.debug)
+    }
     /// What is being done.
     pub fn phase(&self) -> Phase {
         self.phase
@@ -414,6 +430,9 @@ impl Commission {
         if let Err(reason) = self.limits_hold(&measured) {
             return self.stop(reason);
         }
+        if let Err(reason) = self.sensors_agree(&period) {
+            return self.stop(reason);
+        }
         let highest = (self.limits.duty * measured.bus_voltage).min(self.voltage);
         self.elapsed += 1;
         let wanted = match self.phase {
@@ -448,6 +467,7 @@ impl Commission {
         // The first difference of counts is one to nothing.
         let advance = if self.seen { measured.rotation.advance } else { 0.0 };
         self.seen = true;
+        self.still = if current.to_bits() == self.current.to_bits() { self.still + 1 } else { 0 };
         let turned = self.turn_sign * self.unit * advance;
         let currents = [self.current, current];
         let last = Period { voltage: self.acting, currents, turned };
@@ -482,6 +502,27 @@ impl Commission {
         }
     }
 
+    /// Whether voltage, current and speed agree, as soon as enough of the armature is known.
+    fn sensors_agree(&mut self, period: &Period) -> Result<(), Reason> {
+        match self.phase {
+            Phase::Rest => {
+                self.stillest = self.stillest.max(self.still);
+                return Ok(());
+            }
+            Phase::Pulses => {
+                // With pulses there is less noise than at rest only if it is dead.
+                let is_dead = self.still > STILL * self.stillest + 16;
+                return if is_dead { Err(Reason::CurrentLost) } else { Ok(()) };
+            }
+            _ => {}
+        }
+        match self.watch.step(period, period.turned * self.rate, &self.control.armature) {
+            Agrees::Yes => Ok(()),
+            Agrees::NoCurrent => Err(Reason::CurrentLost),
+            Agrees::NoCounts => Err(Reason::EncoderLost),
+        }
+    }
+
     #[cold]
     #[inline(never)]
     fn stop(&mut self, reason: Reason) -> BridgeCommand<f32> {
@@ -506,6 +547,11 @@ impl Commission {
         self.closing = Closing::Not;
     }
 
+    /// Angle from which the shaft has moved (rad).
+    fn moved(&self) -> f32 {
+        MOVED * self.grain.max(1e-3)
+    }
+
     /// Outputs off: what the sensors show of nothing.
     fn rest(&mut self, bus_voltage: f32) -> Wanted {
         let current = self.current;
@@ -516,7 +562,7 @@ impl Commission {
         self.sums[0] += difference;
         self.sums[1] += difference * difference;
         self.sums[2] += bus_voltage;
-        if self.angle.abs() > MOVED * self.grain.max(1e-3) {
+        if self.angle.abs() > self.moved() {
             self.stop(Reason::Turning);
         }
         if self.elapsed < REST {
@@ -545,6 +591,12 @@ impl Commission {
         let least = PULSE * SIGNAL * self.noise;
         let is_quick = self.speed.abs() > QUIET * self.limits.speed
             || self.angle.abs() > QUIET_TRAVEL * self.travel;
+        let is_moved = self.angle.abs() > self.moved();
+        let is_dead = |periods| periods > 64 && self.still >= periods;
+        if is_moved && self.pulses.probing().is_some_and(is_dead) {
+            self.stop(Reason::CurrentLost);
+            return Wanted::Off;
+        }
         match self.pulses.step(period, self.current, highest, least, is_quick) {
             Pulsed::Voltage(voltage) => {
                 if core::mem::take(&mut self.pulses.is_reversed) {
@@ -556,6 +608,10 @@ impl Commission {
             }
             Pulsed::NoCurrent => {
                 self.stop(Reason::LeadOpen);
+                Wanted::Off
+            }
+            Pulsed::LessCurrent => {
+                self.stop(Reason::CurrentLost);
                 Wanted::Off
             }
             Pulsed::Done => {
@@ -591,9 +647,8 @@ impl Commission {
         self.low = (low * self.high).max(1.3 * ripple).min(LOW_MOST * self.high);
         self.least = (WITHIN * self.low).max(ripple).min(0.8 * self.low);
         self.fits.within_ripple = ripple > self.low;
-        self.control.resistance = resistance;
-        self.control.lost = lost;
-        self.control.inductive = inductive;
+        self.control.armature = Armature { resistance, inductive, lost, ripple };
+        self.watch.relearn();
         self.control.slew = (self.high / 12.0).min(SLEW * highest / inductive);
         let electrical = 0.6 * inductive / resistance;
         self.window_periods = electrical.max(WINDOW.0).min(0.25 * WINDOW.1);
@@ -607,11 +662,11 @@ impl Commission {
             return Wanted::Voltage(0.0);
         }
         let moved = (self.angle - self.start).abs();
-        let is_moving = moved > MOVED * self.grain.max(1e-3);
+        let is_moving = moved > self.moved();
         let is_fast = self.speed.abs() >= self.turn_speed
             || self.control.voltage >= TURN_VOLTAGE * highest
             || 2.0 * moved + self.start.abs() >= TURN_TRAVEL * self.travel;
-        let back_emf = self.control.voltage - self.lost(self.current);
+        let back_emf = self.control.voltage - self.control.armature.voltage(self.current);
         if !is_moving && time > BLIND.1 && back_emf > BLIND.0 * highest {
             self.stop(Reason::EncoderMissing);
         } else if (is_fast && is_moving) || time > LAUNCH {
@@ -629,11 +684,6 @@ impl Commission {
         Wanted::Current((time / RAMP).min(1.0) * self.high)
     }
 
-    /// Voltage that a current takes with the shaft at rest (V).
-    fn lost(&self, current: f32) -> f32 {
-        self.control.resistance * current + self.control.lost
-    }
-
     /// Direction, and from how fast the shaft got how long it takes to turning speed at the higher level; a lower one where that is
     /// too short to turn in time.
     fn launched(&mut self, time: f32, highest: f32) {
@@ -644,11 +694,12 @@ impl Commission {
             self.late_angle = -self.late_angle;
             self.speed = -self.speed;
             self.last.turned = -self.last.turned;
+            self.watch.reverse();
         }
         self.fits.direction = Some(self.turn_sign);
         // As fast as the voltage allows at the higher level.
-        let back_emf = self.control.voltage - self.lost(self.current);
-        let room = (TURN_VOLTAGE * highest - self.lost(self.high)) / back_emf;
+        let back_emf = self.control.voltage - self.control.armature.voltage(self.current);
+        let room = (TURN_VOLTAGE * highest - self.control.armature.voltage(self.high)) / back_emf;
         let reached = self.speed.min(self.turn_speed);
         let speed = if room > 0.0 { reached.min(room * self.speed) } else { reached };
         let acceleration = self.acceleration(time);
@@ -657,7 +708,7 @@ impl Commission {
         let by_travel = sqrt(TURN_TRAVEL * self.travel / acceleration) * self.rate;
         let slowed = by_travel / least;
         let share = (by_speed / least).min(slowed * slowed).min(1.0);
-        let CurrentLoop { resistance, inductive, lost, .. } = self.control;
+        let Armature { resistance, inductive, lost, .. } = self.control.armature;
         self.most = share * self.high;
         self.tune(resistance, lost, inductive, LOW_MOST, highest);
         self.ramp = by_speed.min(by_travel) / share;

@@ -18,6 +18,14 @@ const FIRST: f32 = 0.002;
 /// much: to less than twice.
 const GROWTH: f32 = 1.03;
 
+/// The same in the first pulse, where nothing is known yet: slow enough for the shaft, if it is free, or for noise that is missing to show
+/// a sensor that is dead. An inductance takes a third of the voltage then.
+const PROBE: f32 = 1.01;
+const PROBED: f32 = 3.0;
+
+/// Voltage that the same share of current takes at most, over that of the pulse before: a fifth for noise and a warmer winding.
+const MORE: f32 = 1.2;
+
 /// What it falls by.
 const FALL: f32 = 0.9;
 
@@ -26,6 +34,10 @@ const HOLD: u32 = 20;
 
 /// Most periods at the highest voltage, and of a fall.
 const LONGEST: u32 = 400;
+
+/// Most periods of a rise whatever the bus does, and at the highest voltage without a current.
+const RISE: u32 = 1100;
+const OPEN: u32 = 100;
 
 /// Periods without voltage after a pulse.
 const PAUSE: u32 = 100;
@@ -48,6 +60,8 @@ pub(super) enum Pulsed {
     Voltage(f32),
     /// No current flows at the highest voltage.
     NoCurrent,
+    /// The current is less than the pulse before says.
+    LessCurrent,
     /// All are done.
     Done,
 }
@@ -56,8 +70,11 @@ pub(super) enum Pulsed {
 #[derive(Clone, Debug)]
 pub(super) struct Pulses {
     stage: Stage,
-    /// Periods in this stage, but in the rise at the highest voltage only.
+    /// Periods in this stage, and at the highest voltage.
     periods: u32,
+    at_highest: u32,
+    /// Voltage over current of the last pulse (Ω), at most; zero before the first.
+    ratio: f32,
     done: u32,
     sign: f32,
     magnitude: f32,
@@ -81,6 +98,8 @@ impl Pulses {
         Self {
             stage: Stage::Rise,
             periods: 0,
+            at_highest: 0,
+            ratio: 0.0,
             done: 0,
             sign: 1.0,
             magnitude: 0.0,
@@ -116,22 +135,24 @@ impl Pulses {
         self.periods += 1;
         match self.stage {
             Stage::Rise => {
-                self.magnitude = (self.magnitude * GROWTH).max(FIRST * highest);
-                if self.magnitude < highest {
-                    self.periods = 0;
+                let growth = if self.ratio > 0.0 { GROWTH } else { PROBE };
+                self.magnitude = (self.magnitude * growth).max(FIRST * highest).min(highest);
+                self.at_highest += u32::from(self.magnitude >= highest);
+                if self.at_highest > OPEN && current < least {
+                    return Pulsed::NoCurrent;
                 }
-                self.magnitude = self.magnitude.min(highest);
-                if self.periods > LONGEST {
+                if self.at_highest > LONGEST || self.periods > RISE {
                     // As much as the voltage makes.
-                    if current < least {
-                        return Pulsed::NoCurrent;
-                    }
                     self.enough = current;
                     self.most = current;
                 }
                 if current >= self.enough {
                     self.is_reversed = self.sign * now < 0.0;
+                    let slowly = if self.ratio > 0.0 { 1.0 } else { PROBED };
+                    self.ratio = slowly * self.magnitude / self.enough;
                     self.enter(Stage::Hold);
+                } else if self.ratio > 0.0 && self.magnitude > MORE * self.ratio * self.enough {
+                    return Pulsed::LessCurrent;
                 }
             }
             Stage::Hold => {
@@ -162,6 +183,11 @@ impl Pulses {
         if self.done < PULSES { Pulsed::Voltage(self.sign * self.magnitude) } else { Pulsed::Done }
     }
 
+    /// Periods of the first pulse, until its current is seen.
+    pub(super) fn probing(&self) -> Option<u32> {
+        (self.ratio == 0.0).then_some(self.periods)
+    }
+
     /// Share of them that is done.
     pub(super) fn share(&self) -> f32 {
         self.done as f32 / PULSES as f32
@@ -176,5 +202,6 @@ impl Pulses {
         self.window = Window::default();
         self.stage = stage;
         self.periods = 0;
+        self.at_highest = 0;
     }
 }
