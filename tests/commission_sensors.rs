@@ -82,7 +82,11 @@ fn fail(bench: &Bench, failure: Failure, phase: Phase, after: u32) -> (Run, bool
             Failure::CurrentNone => codes.current = zero,
             Failure::CurrentLowest => codes.current = 0,
             Failure::CurrentHighest => codes.current = calibration.highest_code,
-            Failure::CurrentHalf => codes.current = (codes.current + zero) / 2,
+            Failure::CurrentHalf => {
+                // Half the gain has twice the range.
+                let half = 0.5 * board.state().current as f32 / calibration.current_per_code;
+                codes.current = (calibration.current_zero + half).round() as u16 + (codes.encoder[0] ^ codes.bus_voltage) % 2;
+            }
             Failure::EncoderFrozen => codes.encoder = [start; READS],
             Failure::EncoderLine => {
                 line = codes.encoder[READS - 1] & 1;
@@ -123,6 +127,11 @@ fn study() {
             (bench, failure, phase, after, run, failed)
         })
         .collect();
+    for (bench, failure, phase, after, run, _) in runs.iter().filter(|it| it.5 && std::env::var("NAMES").is_ok()) {
+        let current = run.current / f64::from(bench.config().limits.current_command);
+        let none = run.findings.stopped.is_none() && !matches!(failure, Failure::BusRises | Failure::BusFalls);
+        if none || current > 1.3 { println!("* {failure:?} {phase:?} {after} {:?} {current:.2} {}", run.findings.stopped, bench.name); }
+    }
     for failure in Failure::ALL {
         for (phase, _) in PHASES {
             let these: Vec<_> =
@@ -154,7 +163,7 @@ fn study() {
             let beyond = these.iter().map(|it| it.4.beyond).max();
             let Some(worst) = current.last() else { continue };
             println!(
-                "{failure:?} {phase:?}: current median {:.2} 95% {:.2} most {:.2} beyond {:?} speed {:.2} [{}] {:?}",
+                "+ {failure:?} {phase:?}: current median {:.2} 95% {:.2} most {:.2} beyond {:?} speed {:.2} [{}] {:?}",
                 current[current.len() / 2].0,
                 current[current.len() * 95 / 100].0,
                 worst.0,

@@ -39,6 +39,10 @@ impl CurrentLoop {
     /// stable with an armature of a third of the inductance.
     const SHARE: f32 = 0.2;
 
+    pub(super) fn error(&self) -> f32 {
+        self.error
+    }
+
     pub(super) fn step(&mut self, current: f32, wanted: f32, highest: f32) -> f32 {
         self.reference += (wanted - self.reference).limited(self.slew);
         let error = self.reference - current;

@@ -265,6 +265,7 @@ pub struct Commission {
     pulses: Pulses,
     control: CurrentLoop,
     watch: Watch,
+    lag_error: f32,
     /// Periods that the current has stood still, and the most at rest.
     still: u32,
     stillest: u32,
@@ -364,6 +365,7 @@ impl Commission {
             pulses: Pulses::new(PULSE * limits.current_command),
             control: CurrentLoop::default(),
             watch: Watch::new(limits.current_command, grain * timing.rate / averaged, averaged),
+            lag_error: 0.0,
             still: 0,
             stillest: 0,
             most: HIGH * limits.current_command,
@@ -430,10 +432,10 @@ impl Commission {
         if let Err(reason) = self.limits_hold(&measured) {
             return self.stop(reason);
         }
-        if let Err(reason) = self.sensors_agree(&period) {
+        let highest = (self.limits.duty * measured.bus_voltage).min(self.voltage);
+        if let Err(reason) = self.sensors_agree(&period, highest) {
             return self.stop(reason);
         }
-        let highest = (self.limits.duty * measured.bus_voltage).min(self.voltage);
         self.elapsed += 1;
         let wanted = match self.phase {
             Phase::Rest => self.rest(measured.bus_voltage),
@@ -503,7 +505,7 @@ impl Commission {
     }
 
     /// Whether voltage, current and speed agree, as soon as enough of the armature is known.
-    fn sensors_agree(&mut self, period: &Period) -> Result<(), Reason> {
+    fn sensors_agree(&mut self, period: &Period, highest: f32) -> Result<(), Reason> {
         match self.phase {
             Phase::Rest => {
                 self.stillest = self.stillest.max(self.still);
@@ -516,7 +518,12 @@ impl Commission {
             }
             _ => {}
         }
-        match self.watch.step(period, period.turned * self.rate, &self.control.armature) {
+        self.lag_error += (self.control.error() - self.lag_error) / 32.0;
+        let follows = if self.phase == Phase::Launch { 0.05 } else { 0.5 };
+        if self.lag_error.abs() > follows * self.high + 2.0 * self.noise {
+            return Err(Reason::CurrentLost);
+        }
+        match self.watch.step(period, period.turned * self.rate, &self.control.armature, highest) {
             Agrees::Yes => Ok(()),
             Agrees::NoCurrent => Err(Reason::CurrentLost),
             Agrees::NoCounts => Err(Reason::EncoderLost),
@@ -694,8 +701,8 @@ impl Commission {
             self.late_angle = -self.late_angle;
             self.speed = -self.speed;
             self.last.turned = -self.last.turned;
-            self.watch.reverse();
         }
+        self.watch.direct(self.turn_sign);
         self.fits.direction = Some(self.turn_sign);
         // As fast as the voltage allows at the higher level.
         let back_emf = self.control.voltage - self.control.armature.voltage(self.current);

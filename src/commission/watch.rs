@@ -18,6 +18,9 @@ const STAYS: f32 = 0.6;
 const ROUGH: f32 = 0.2;
 const JUMPS: f32 = 0.15;
 
+/// Back-EMF that is a contradiction whatever the resistance, over the highest voltage.
+const HIDDEN: f32 = 0.3;
+
 /// Periods that Kb is averaged over.
 const LEARNS: f32 = 4096.0;
 
@@ -42,6 +45,8 @@ pub(super) struct Watch {
     /// Sums of e·ω and ω².
     product: f32,
     square: f32,
+    /// Whether the encoder's sign is known.
+    is_directed: bool,
     pub debug: [f32; 2],
 }
 
@@ -56,6 +61,7 @@ impl Watch {
             product: 0.0,
             // Until it turns faster than that.
             square: KNOWN * count * count,
+            is_directed: false,
             debug: [0.0; 2],
         }
     }
@@ -71,14 +77,21 @@ impl Watch {
         if self.square > 0.0 { self.product / self.square } else { 0.0 }
     }
 
-    /// The encoder was found to be the other way round.
-    pub(super) fn reverse(&mut self) {
-        self.speed = -self.speed;
-        self.product = -self.product;
+    /// The encoder's sign (±1) was found.
+    pub(super) fn direct(&mut self, sign: f32) {
+        self.speed *= sign;
+        self.product = (sign * self.product).max(0.0);
+        self.is_directed = true;
     }
 
-    /// Takes a period and the speed in it (rad/s). Tells what is contradicted, if anything is.
-    pub(super) fn step(&mut self, period: &Period, speed: f32, armature: &Armature) -> Agrees {
+    /// Takes a period, the speed in it (rad/s), and the highest voltage (V). Tells what is contradicted, if anything is.
+    pub(super) fn step(
+        &mut self,
+        period: &Period,
+        speed: f32,
+        armature: &Armature,
+        highest: f32,
+    ) -> Agrees {
         let [start, end] = period.currents;
         let change = armature.inductive * (end - start);
         let left = period.voltage - armature.voltage(start) - change;
@@ -86,25 +99,29 @@ impl Watch {
         self.speed += self.share * (speed - self.speed);
         let constant = self.constant();
         let expected = constant * self.speed;
+        let count = constant.abs() * self.count;
         let rough = armature.resistance + ROUGH * self.share * armature.inductive;
-        let stays = STAYS * rough * self.limit;
+        let stays = (STAYS * rough * self.limit).min(HIDDEN * highest);
         let jumps = stays + JUMPS * armature.inductive * self.limit;
-        let off = (self.back_emf - expected).abs() - constant.abs() * self.count;
-        self.debug[0] = self.debug[0].max(off / (rough * self.limit));
-        self.debug[1] = self.debug[1].max(((left - expected).abs() - STAYS * armature.resistance * self.limit)/(armature.inductive * self.limit));
+        let off = (self.back_emf - expected).abs() - count;
+        self.debug[0] = self.debug[0].max(off / stays);
         if (left - expected).abs() > jumps {
-            return Agrees::NoCurrent;
+            Agrees::NoCurrent
+        } else if off > stays {
+            // No shaft stops or turns back within a period.
+            let is_silent = speed * self.speed <= 0.0 || expected.abs() <= count;
+            if is_silent { Agrees::NoCounts } else { Agrees::NoCurrent }
+        } else {
+            if self.speed.abs() > self.count {
+                let kept = 1.0 - 1.0 / LEARNS;
+                self.product = kept * self.product + self.back_emf * self.speed;
+                self.square = kept * self.square + self.speed * self.speed;
+                if self.is_directed {
+                    self.product = self.product.max(0.0);
+                }
+            }
+            Agrees::Yes
         }
-        if off > stays {
-            let is_silent = expected * self.back_emf <= 0.0 || expected.abs() <= constant.abs() * self.count;
-            return if is_silent { Agrees::NoCounts } else { Agrees::NoCurrent };
-        }
-        if self.speed.abs() > self.count {
-            let kept = 1.0 - 1.0 / LEARNS;
-            self.product = kept * self.product + self.back_emf * self.speed;
-            self.square = kept * self.square + self.speed * self.speed;
-        }
-        Agrees::Yes
     }
 }
 
