@@ -122,7 +122,17 @@ fn study() {
         .into_par_iter()
         .map(|(seed, failure, phase, periods)| {
             let after = shuffled(seed * 1000 + failure as u64 * 10 + phase as u64) % periods;
-            let bench = Bench::random(seed);
+            let mut bench = Bench::random(seed);
+            if std::env::var("TIGHT").is_ok() {
+                match after % 4 {
+                    0 => bench.scenario.limits.speed *= 0.06,
+                    1 => bench.scenario.limits.speed *= 0.2,
+                    pick => {
+                        let counts = f64::from(bench.scenario.sensors.expect("sensors").counts_per_turn);
+                        bench.travel = f64::max([0.3, 3.0][pick as usize - 2], 151.0 / counts * std::f64::consts::TAU);
+                    }
+                }
+            }
             let (run, failed) = fail(&bench, failure, phase, after);
             (bench, failure, phase, after, run, failed)
         })
@@ -130,49 +140,27 @@ fn study() {
     for (bench, failure, phase, after, run, _) in runs.iter().filter(|it| it.5 && std::env::var("NAMES").is_ok()) {
         let current = run.current / f64::from(bench.config().limits.current_command);
         let none = run.findings.stopped.is_none() && !matches!(failure, Failure::BusRises | Failure::BusFalls);
-        if none || current > 1.3 { println!("* {failure:?} {phase:?} {after} {:?} {current:.2} {}", run.findings.stopped, bench.name); }
+        let speed = run.speed / f64::from(bench.config().limits.speed);
+        let angle = run.angle / bench.travel;
+        let half = matches!(failure, Failure::CurrentHalf) || (none && matches!(failure, Failure::EncoderReversed));
+        if !half && (none || current > 1.7 || speed > 1.2 || angle > 1.2) { print!("{speed:.2} {angle:.2}"); println!("* {failure:?} {phase:?} {after} {:?} {current:.2} {}", run.findings.stopped, bench.name); }
     }
     for failure in Failure::ALL {
-        for (phase, _) in PHASES {
-            let these: Vec<_> =
-                runs.iter().filter(|it| it.1 == failure && it.2 == phase && it.5).collect();
-            let mut current: Vec<(f64, u32, &str)> = these
-                .iter()
-                .map(|(bench, _, _, _, run, _)| {
-                    (
-                        run.current / f64::from(bench.config().limits.current_command),
-                        run.beyond,
-                        bench.name.as_str(),
-                    )
-                })
-                .collect();
-            current.sort_by(|a, b| a.0.total_cmp(&b.0));
-            let mut speed: Vec<f64> = these
-                .iter()
-                .map(|(bench, _, _, _, run, _)| run.speed / f64::from(bench.config().limits.speed))
-                .collect();
-            speed.sort_by(f64::total_cmp);
-            let mut reasons: Vec<(Option<Reason>, u32)> = Vec::new();
-            for (_, _, _, _, run, _) in &these {
-                let stopped = run.findings.stopped;
-                match reasons.iter_mut().find(|it| it.0 == stopped) {
-                    Some(it) => it.1 += 1,
-                    None => reasons.push((stopped, 1)),
-                }
-            }
-            let beyond = these.iter().map(|it| it.4.beyond).max();
-            let Some(worst) = current.last() else { continue };
-            println!(
-                "+ {failure:?} {phase:?}: current median {:.2} 95% {:.2} most {:.2} beyond {:?} speed {:.2} [{}] {:?}",
-                current[current.len() / 2].0,
-                current[current.len() * 95 / 100].0,
-                worst.0,
-                beyond,
-                speed[speed.len() - 1],
-                worst.2,
-                reasons
-            );
-        }
+        let these = || runs.iter().filter(|it| it.1 == failure && it.5);
+        let quantiles = |of: &dyn Fn(&Bench, &Run) -> f64| {
+            let mut all: Vec<f64> = these().map(|it| of(&it.0, &it.4)).collect();
+            all.sort_by(f64::total_cmp);
+            let at = |share: f64| all[((share * all.len() as f64) as usize).min(all.len() - 1)];
+            format!("{:.2} {:.2} {:.2} {:.2}", at(0.5), at(0.95), at(0.99), at(1.0))
+        };
+        println!(
+            "+ {failure:?}: current {}, beyond {}, speed {}, angle {}, none {}",
+            quantiles(&|bench, run| run.current / f64::from(bench.config().limits.current_command)),
+            quantiles(&|_, run| f64::from(run.beyond)),
+            quantiles(&|bench, run| run.speed / f64::from(bench.config().limits.speed)),
+            quantiles(&|bench, run| run.angle / bench.travel),
+            these().filter(|it| it.4.findings.stopped.is_none()).count()
+        );
     }
 }
 

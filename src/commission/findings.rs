@@ -73,6 +73,8 @@ pub enum Reason {
     CurrentLost,
     /// While it was measured the speed was not what the back-EMF tells.
     EncoderLost,
+    /// The resistance changed while it was measured.
+    Unsteady,
     /// At the least current that its sensor shows the shaft would be beyond the limits of speed or travel before it could be turned back.
     TooQuick,
     /// The currents that limits allow are within their own ripple, where what brushes and dead time take looks like resistance.
@@ -108,6 +110,9 @@ impl fmt::Display for Reason {
             }
             Self::EncoderLost => {
                 "the speed is not what the back-EMF tells: the encoder died, or the current sensor"
+            }
+            Self::Unsteady => {
+                "the resistance changed while it was measured: the current sensor, or a loose lead"
             }
             Self::TooQuick => "the limits of speed or travel leave no time to turn the shaft back",
             Self::Ripple => "the currents that the limits allow are within their own ripple",

@@ -125,6 +125,9 @@ impl Progress {
 /// Periods that outputs are off at first.
 const REST: u32 = 2048;
 
+/// Share of R that it may change by from the short to the long windows: a winding that warms up by 25 °C.
+const STEADY: f32 = 0.1;
+
 /// The current must not stand still for more than so many times as long as it did at rest.
 const STILL: u32 = 4;
 
@@ -760,10 +763,7 @@ impl Commission {
                 match self.phase {
                     Phase::Trial => self.end_trial(&solved, highest),
                     Phase::Short => self.end_short(solved),
-                    _ => {
-                        self.fits.long = Some(solved);
-                        self.closing = Closing::Shaft;
-                    }
+                    _ => self.end_long(solved),
                 }
             }
             Closing::Shaft => {
@@ -845,6 +845,21 @@ impl Commission {
             (self.ramp / WINDOWS).max(self.window_periods).max(self.averaged).min(WINDOW.1);
         self.turn_speed = self.fits.turn_speed;
         self.enter(Phase::Long);
+    }
+
+    /// What the short windows showed must still be so.
+    fn end_long(&mut self, solved: Solution) {
+        let resistance = solved.values[0];
+        let agrees = |short: &Solution| {
+            let uncertain = 3.0 * (solved.deviations[0] + short.deviations[0]);
+            (resistance - short.values[0]).abs() <= STEADY * resistance.abs() + uncertain
+        };
+        if self.fits.short.as_ref().is_some_and(agrees) {
+            self.fits.long = Some(solved);
+            self.closing = Closing::Shaft;
+        } else {
+            self.stop(Reason::Unsteady);
+        }
     }
 
     /// The armature. Noise in current and angle pulls their unknowns; how much, its variance tells at most: half of it is taken back, and
