@@ -522,8 +522,8 @@ impl Commission {
             _ => {}
         }
         self.lag_error += (self.control.error() - self.lag_error) / 32.0;
-        let follows = if self.phase == Phase::Launch { 0.05 } else { 0.5 };
-        if self.lag_error.abs() > follows * self.high + 2.0 * self.noise {
+        let follows = if self.phase == Phase::Launch { 0.04 } else { 0.4 };
+        if self.lag_error.abs() > follows * self.limits.current_command + 2.0 * self.noise {
             return Err(Reason::CurrentLost);
         }
         match self.watch.step(period, period.turned * self.rate, &self.control.armature, highest) {
@@ -831,6 +831,7 @@ impl Commission {
             && inductive > resistance
         {
             self.tune(resistance, lost, inductive, LOW, highest);
+            self.watch.within = true;
         }
         self.enter(Phase::Short);
     }

@@ -15,6 +15,7 @@ use super::window::Period;
 /// Wrong current, over the limit, that is a contradiction where it stays, and where it comes in a period. Rough as R, Λ and V0 are after the
 /// pulses, 1800 healthy motors came to 0.5 and 0.2.
 const STAYS: f32 = 0.6;
+const STAYS_KNOWN: f32 = 0.2;
 const ROUGH: f32 = 0.2;
 const JUMPS: f32 = 0.15;
 
@@ -47,6 +48,7 @@ pub(super) struct Watch {
     square: f32,
     /// Whether the encoder's sign is known.
     is_directed: bool,
+    pub within: bool,
     pub debug: [f32; 2],
 }
 
@@ -62,6 +64,7 @@ impl Watch {
             // Until it turns faster than that.
             square: KNOWN * count * count,
             is_directed: false,
+            within: false,
             debug: [0.0; 2],
         }
     }
@@ -101,10 +104,9 @@ impl Watch {
         let expected = constant * self.speed;
         let count = constant.abs() * self.count;
         let rough = armature.resistance + ROUGH * self.share * armature.inductive;
-        let stays = (STAYS * rough * self.limit).min(HIDDEN * highest);
+        let stays = (if self.within { STAYS_KNOWN } else { STAYS } * rough * self.limit).min(HIDDEN * highest);
         let jumps = stays + JUMPS * armature.inductive * self.limit;
         let off = (self.back_emf - expected).abs() - count;
-        self.debug[0] = self.debug[0].max(off / stays);
         if (left - expected).abs() > jumps {
             Agrees::NoCurrent
         } else if off > stays {
