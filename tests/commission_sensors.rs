@@ -1,12 +1,14 @@
 //! Sensors that die, leads that open and buses that jump while commissioning measures: what the true current, speed and angle come to.
 
 use host_sim::commission_bench::{Bench, Run};
-use quasidrive::commission::{Phase, Reason};
+use quasidrive::commission::Phase;
+use quasidrive::commission::tuning::Known;
+use quasidrive::drive::Limits;
 use quasidrive::hal::{READS, Sample};
 use quasidrive::sense::Sensors;
 use rayon::prelude::*;
 
-/// What happens.
+/// What happens. `Frozen` is at the last value, `None` at no current, `Line` with one line of two left.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Failure {
     CurrentFrozen,
@@ -38,6 +40,7 @@ impl Failure {
     ];
 }
 
+/// Phases, and periods of which one is that of the failure: about as long as they take.
 const PHASES: [(Phase, u32); 6] = [
     (Phase::Rest, 2048),
     (Phase::Pulses, 3000),
@@ -63,7 +66,6 @@ fn fail(bench: &Bench, failure: Failure, phase: Phase, after: u32) -> (Run, bool
     let mut periods = None;
     let mut frozen = None;
     let mut failed = false;
-    let mut line = 0;
     let run = bench.run_on(&config, |commission, board, sample| {
         if periods.is_none() && commission.phase() == phase {
             periods = Some(0);
@@ -85,11 +87,12 @@ fn fail(bench: &Bench, failure: Failure, phase: Phase, after: u32) -> (Run, bool
             Failure::CurrentHalf => {
                 // Half the gain has twice the range.
                 let half = 0.5 * board.state().current as f32 / calibration.current_per_code;
-                codes.current = (calibration.current_zero + half).round() as u16 + (codes.encoder[0] ^ codes.bus_voltage) % 2;
+                // The bus voltage's noise as that of the current.
+                codes.current =
+                    (calibration.current_zero + half).round() as u16 + codes.bus_voltage % 2;
             }
             Failure::EncoderFrozen => codes.encoder = [start; READS],
             Failure::EncoderLine => {
-                line = codes.encoder[READS - 1] & 1;
                 codes.encoder = codes.encoder.map(|count| (start & !1) + (count & 1));
             }
             Failure::EncoderReversed => {
@@ -106,121 +109,152 @@ fn fail(bench: &Bench, failure: Failure, phase: Phase, after: u32) -> (Run, bool
     (run, failed)
 }
 
-#[test]
-fn study() {
-    let count = std::env::var("MOTORS").map_or(100, |it| it.parse().expect("number"));
-    let from: u64 = std::env::var("FROM").map_or(1000, |it| it.parse().expect("number"));
-    let mut cases = Vec::new();
-    for seed in 0..count {
-        for failure in Failure::ALL {
-            for (phase, periods) in PHASES {
-                cases.push((from + seed, failure, phase, periods));
+/// A random motor, with a speed or travel that is tight or not.
+fn bench(seed: u64, is_tight: bool) -> Bench {
+    let mut bench = Bench::random(seed);
+    let counts = f64::from(bench.scenario.sensors.expect("sensors").counts_per_turn);
+    let least = 151.0 / counts * std::f64::consts::TAU;
+    match (is_tight, shuffled(seed) % 4) {
+        (false, _) => {}
+        (true, 0) => bench.scenario.limits.speed *= 0.06,
+        (true, 1) => bench.scenario.limits.speed *= 0.2,
+        (true, 2) => bench.travel = f64::max(0.3, least),
+        (true, _) => bench.travel = 3.0,
+    }
+    bench
+}
+
+/// A failure in a motor's run.
+struct Case {
+    bench: Bench,
+    failure: Failure,
+    phase: Phase,
+    after: u32,
+    run: Run,
+}
+
+impl Case {
+    fn limits(&self) -> Limits {
+        self.bench.config().limits
+    }
+
+    /// True current over its limit.
+    fn current(&self) -> f64 {
+        self.run.current / f64::from(self.limits().current_command)
+    }
+
+    /// True speed over its limit.
+    fn speed(&self) -> f64 {
+        self.run.speed / f64::from(self.limits().speed)
+    }
+
+    fn angle(&self) -> f64 {
+        self.run.angle / self.bench.travel
+    }
+
+    /// Whether it is no failure: a gain that is wrong, or an encoder the wrong way round, from before it matters, and a bus that
+    /// stays within its limits.
+    fn may_go_on(&self) -> bool {
+        match self.failure {
+            Failure::CurrentHalf | Failure::BusFalls | Failure::BusRises => true,
+            Failure::EncoderReversed => {
+                matches!(self.phase, Phase::Rest | Phase::Pulses | Phase::Launch)
             }
+            _ => false,
         }
     }
-    let runs: Vec<_> = cases
-        .into_par_iter()
-        .map(|(seed, failure, phase, periods)| {
-            let after = shuffled(seed * 1000 + failure as u64 * 10 + phase as u64) % periods;
-            let mut bench = Bench::random(seed);
-            if std::env::var("TIGHT").is_ok() {
-                match after % 4 {
-                    0 => bench.scenario.limits.speed *= 0.06,
-                    1 => bench.scenario.limits.speed *= 0.2,
-                    pick => {
-                        let counts = f64::from(bench.scenario.sensors.expect("sensors").counts_per_turn);
-                        bench.travel = f64::max([0.3, 3.0][pick as usize - 2], 151.0 / counts * std::f64::consts::TAU);
-                    }
-                }
-            }
+}
+
+/// Lets `count` motors have each of the failures in each of the phases at a random instant. Those that come to nothing are left out.
+fn cases(from: u64, count: u64, is_tight: bool) -> Vec<Case> {
+    let kinds = Failure::ALL.iter().flat_map(|failure| PHASES.map(|phase| (*failure, phase)));
+    let all: Vec<_> = (from..).zip((0..count).flat_map(|_| kinds.clone())).collect();
+    all.into_par_iter()
+        .filter_map(|(seed, (failure, (phase, periods)))| {
+            let after = shuffled(seed) % periods;
+            let bench = bench(seed, is_tight);
             let (run, failed) = fail(&bench, failure, phase, after);
-            (bench, failure, phase, after, run, failed)
+            failed.then_some(Case { bench, failure, phase, after, run })
         })
-        .collect();
-    for (bench, failure, phase, after, run, _) in runs.iter().filter(|it| it.5 && std::env::var("NAMES").is_ok()) {
-        let current = run.current / f64::from(bench.config().limits.current_command);
-        let none = run.findings.stopped.is_none() && !matches!(failure, Failure::BusRises | Failure::BusFalls);
-        let speed = run.speed / f64::from(bench.config().limits.speed);
-        let angle = run.angle / bench.travel;
-        let half = matches!(failure, Failure::CurrentHalf) || (none && matches!(failure, Failure::EncoderReversed));
-        if !half && (none || current > 1.7 || speed > 1.2 || angle > 1.2) { print!("{speed:.2} {angle:.2}"); println!("* {failure:?} {phase:?} {after} {:?} {current:.2} {}", run.findings.stopped, bench.name); }
-    }
+        .collect()
+}
+
+/// Prints the median, what 95 % are within, and the worst.
+fn print(cases: &[Case]) {
+    println!("| | current over limit | periods beyond it | speed over limit | angle over travel |");
     for failure in Failure::ALL {
-        let these = || runs.iter().filter(|it| it.1 == failure && it.5);
-        let quantiles = |of: &dyn Fn(&Bench, &Run) -> f64| {
-            let mut all: Vec<f64> = these().map(|it| of(&it.0, &it.4)).collect();
+        let these = || cases.iter().filter(|it| it.failure == failure);
+        let row = |of: &dyn Fn(&Case) -> f64| {
+            let mut all: Vec<f64> = these().map(of).collect();
             all.sort_by(f64::total_cmp);
-            let at = |share: f64| all[((share * all.len() as f64) as usize).min(all.len() - 1)];
-            format!("{:.2} {:.2} {:.2} {:.2}", at(0.5), at(0.95), at(0.99), at(1.0))
+            let at = |share: f64| all[(share * (all.len() - 1) as f64) as usize];
+            format!("{:.2}, {:.2}, {:.2}", at(0.5), at(0.95), at(1.0))
         };
         println!(
-            "+ {failure:?}: current {}, beyond {}, speed {}, angle {}, none {}",
-            quantiles(&|bench, run| run.current / f64::from(bench.config().limits.current_command)),
-            quantiles(&|_, run| f64::from(run.beyond)),
-            quantiles(&|bench, run| run.speed / f64::from(bench.config().limits.speed)),
-            quantiles(&|bench, run| run.angle / bench.travel),
-            these().filter(|it| it.4.findings.stopped.is_none()).count()
+            "| {failure:?} | {} | {} | {} | {} |",
+            row(&Case::current),
+            row(&|it| f64::from(it.run.beyond)),
+            row(&Case::speed),
+            row(&Case::angle)
         );
     }
 }
 
-#[test]
-fn healthy() {
-    let count: u64 = std::env::var("MOTORS").map_or(100, |it| it.parse().expect("number"));
-    let from: u64 = std::env::var("FROM").map_or(1000, |it| it.parse().expect("number"));
-    let tight = std::env::var("TIGHT").is_ok();
-    let mut benches = Vec::new();
-    for seed in from..from + count {
-        let bench = Bench::random(seed);
-        if !tight {
-            benches.push(bench);
-            continue;
-        }
-        for share in [0.06, 0.2] {
-            let mut bench = Bench::random(seed);
-            bench.scenario.limits.speed *= share;
-            benches.push(bench);
-        }
-        for travel in [0.3, 3.0] {
-            let mut bench = Bench::random(seed);
-            let counts = f64::from(bench.scenario.sensors.expect("sensors").counts_per_turn);
-            bench.travel = f64::max(travel, 151.0 / counts * std::f64::consts::TAU);
-            benches.push(bench);
-        }
+fn assert_noticed(cases: &[Case]) {
+    for case in cases {
+        let Case { bench, failure, phase, after, run } = case;
+        // What is not noticed has shown nothing that could be saved.
+        let config = bench.config();
+        let is_harmless = case.may_go_on() || Known::new(&run.findings, &config).is_err();
+        let what = format!("{failure:?}, {phase:?} {after}: {}", bench.name);
+        assert!(run.findings.stopped.is_some() || is_harmless, "{what}, {:?}", run.findings);
+        // Commanded are 0.75 of the limit, and at most 0.09 more while the current settles: with half the gain twice as much. Else
+        // measured: 2.3 of 1300 cases.
+        let (most, beyond) = match failure {
+            Failure::CurrentHalf => (1.7, u32::MAX),
+            Failure::CurrentFrozen | Failure::CurrentNone => (2.5, 400),
+            _ => (1.05, 2),
+        };
+        assert!(case.current() <= most, "{what}: current {}", case.current());
+        assert!(run.beyond <= beyond, "{what}: {} periods", run.beyond);
+        assert!(run.time < 20.0, "{what}: {} s", run.time);
     }
-    let all: Vec<_> = benches
-        .par_iter()
-        .map(|bench| {
-            let mut debug = [[0.0; 2]; 4];
-            let run = bench.run_on(&bench.config(), |commission, _, _| {
-                let at = match commission.phase() {
-                    Phase::Rest | Phase::Pulses | Phase::Over => return,
-                    Phase::Launch => 0,
-                    Phase::Trial => 1,
-                    Phase::Short => 2,
-                    Phase::Long => 3,
-                };
-                let now = commission.debug();
-                for it in 0..2 {
-                    debug[at][it] = now[it].max(debug[at][it]);
-                }
-            });
-            if run.findings.stopped.is_some() && (!tight || run.findings.stopped != Some(Reason::TooQuick)) {
-                println!("{}: {:?}", bench.name, run.findings.stopped);
-            }
-            (bench, run, debug)
-        })
-        .collect();
-    for at in 0..4 {
-        for it in 0..2 {
-            let mut these: Vec<_> = all.iter().map(|all| (all.2[at][it], all)).collect();
-            these.sort_by(|a, b| a.0.total_cmp(&b.0));
-            let n = these.len();
-            print!("{at} {it}: median {:.3} 95% {:.3}", these[n / 2].0, these[n * 95 / 100].0);
-            for (value, (bench, run, _)) in these.iter().rev().take(6) {
-                print!("\n      {value:.3} {} {:?}", bench.name, run.findings.stopped,);
-            }
-            println!();
-        }
+}
+
+/// Motors of each failure in each phase.
+const MOTORS: u64 = 8;
+const TIGHT: u64 = 3;
+
+#[test]
+fn what_dies_while_it_measures_is_noticed_in_time() {
+    let cases = cases(10_000, MOTORS, false);
+    print(&cases);
+    assert_noticed(&cases);
+    // It turns at 0.4 of the limit, and a bus that rises lets it turn faster.
+    for case in &cases {
+        let Case { bench, failure, .. } = case;
+        assert!(case.speed() <= 1.0, "{failure:?}: speed {}: {}", case.speed(), bench.name);
+    }
+}
+
+#[test]
+fn with_tight_limits_too_and_then_the_shaft_is_as_fast_as_its_back_emf_shows() {
+    let cases = cases(20_000, TIGHT, true);
+    print(&cases);
+    assert_noticed(&cases);
+    for case in &cases {
+        let motor = &case.bench.scenario.motor;
+        let limits = case.limits();
+        // 0.7·R·I of back-EMF where R is known to within a half, as much again for what the inductance is wrong by.
+        let current = f64::from(limits.current_command);
+        let shown = 2.0 * 0.7 * 1.5 * motor.resistance * current / motor.back_emf_constant;
+        let most = f64::from(limits.speed) + shown;
+        let Case { bench, failure, phase, after, run } = case;
+        assert!(
+            run.speed <= most,
+            "{failure:?}, {phase:?} {after}: {} of {most}: {}",
+            run.speed,
+            bench.name
+        );
     }
 }

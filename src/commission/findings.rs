@@ -101,7 +101,9 @@ impl fmt::Display for Reason {
             Self::Turning => "the shaft turned with outputs off",
             Self::CurrentZero => "the current sensor showed a current with outputs off",
             Self::NoisyCurrent => "the current limit is too low for the noise of the current",
-            Self::LeadOpen => "no current was seen: a motor lead is open, or the current sensor is dead",
+            Self::LeadOpen => {
+                "no current was seen: a motor lead is open, or the current sensor is dead"
+            }
             Self::Unexplained => "pulses of voltage made a current that no armature makes",
             Self::Blocked => "the shaft did not turn: it is blocked",
             Self::EncoderMissing => "the motor turned, and the encoder did not count",

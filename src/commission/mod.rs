@@ -57,7 +57,7 @@ use findings::Fits;
 use fit::{Fit, Solution};
 use pulses::{Pulsed, Pulses};
 use serde::{Deserialize, Serialize};
-use watch::{Agrees, Watch};
+use watch::Watch;
 use window::{Period, Window};
 
 /// What is known before the motor is measured.
@@ -125,11 +125,15 @@ impl Progress {
 /// Periods that outputs are off at first.
 const REST: u32 = 2048;
 
-/// Share of R that it may change by from the short to the long windows: a winding that warms up by 25 °C.
-const STEADY: f32 = 0.1;
+/// Share of R that it may change by from the short to the long windows: a winding that warms up by 40 °C.
+const STEADY: f32 = 0.15;
 
-/// The current must not stand still for more than so many times as long as it did at rest.
-const STILL: u32 = 4;
+/// In pulses the current's code must not stand still for more than so many times as long as it did at rest, and for so many periods more, which
+/// it may take from code to code. So noise tells whether its sensor is alive.
+const STILL: (u32, u32) = (4, 128);
+
+/// Periods of the first pulse after which a shaft that moves without any current is a dead sensor.
+const MOVES: u32 = 64;
 
 /// The current limit must be this many times the noise's deviation.
 const SIGNAL: f32 = 60.0;
@@ -213,6 +217,15 @@ const WINDOWS: f32 = 8.0;
 /// Share of the turning speed from which the shaft does not turn back within two windows.
 const ONWARD: f32 = 0.15;
 
+/// Change of speed from window to window over what the launch showed, and counts besides, that no shaft makes. Healthy motors come to half of
+/// it: friction helps to turn.
+const LIVELY: f32 = 3.0;
+const COUNTS: f32 = 2.5;
+
+/// Error of the current, averaged, over its limit: while it grows slowly, and where it turns. Healthy motors come to half of it.
+const RAMPED: f32 = 0.04;
+const TURNED: f32 = 0.5;
+
 /// Windows after which a current turns whose shaft is blocked.
 const BLOCKED_WINDOWS: u32 = 16;
 
@@ -268,7 +281,6 @@ pub struct Commission {
     pulses: Pulses,
     control: CurrentLoop,
     watch: Watch,
-    lag_error: f32,
     /// Periods that the current has stood still, and the most at rest.
     still: u32,
     stillest: u32,
@@ -368,7 +380,6 @@ impl Commission {
             pulses: Pulses::new(PULSE * limits.current_command),
             control: CurrentLoop::default(),
             watch: Watch::new(limits.current_command, grain * timing.rate / averaged, averaged),
-            lag_error: 0.0,
             still: 0,
             stillest: 0,
             most: HIGH * limits.current_command,
@@ -391,9 +402,6 @@ impl Commission {
         })
     }
 
-    pub fn debug(&mut self) -> [f32; 2] {
-        core::mem::take(&mut self.watch.debug)
-    }
     /// What is being done.
     pub fn phase(&self) -> Phase {
         self.phase
@@ -515,22 +523,14 @@ impl Commission {
                 return Ok(());
             }
             Phase::Pulses => {
-                // With pulses there is less noise than at rest only if it is dead.
-                let is_dead = self.still > STILL * self.stillest + 16;
+                let is_dead = self.still > STILL.0 * self.stillest + STILL.1;
                 return if is_dead { Err(Reason::CurrentLost) } else { Ok(()) };
             }
             _ => {}
         }
-        self.lag_error += (self.control.error() - self.lag_error) / 32.0;
-        let follows = if self.phase == Phase::Launch { 0.04 } else { 0.4 };
-        if self.lag_error.abs() > follows * self.limits.current_command + 2.0 * self.noise {
-            return Err(Reason::CurrentLost);
-        }
-        match self.watch.step(period, period.turned * self.rate, &self.control.armature, highest) {
-            Agrees::Yes => Ok(()),
-            Agrees::NoCurrent => Err(Reason::CurrentLost),
-            Agrees::NoCounts => Err(Reason::EncoderLost),
-        }
+        let follows = if self.phase == Phase::Launch { RAMPED } else { TURNED };
+        let off = follows * self.limits.current_command + 2.0 * self.noise;
+        self.watch.step(period, period.turned * self.rate, &self.control, off, highest)
     }
 
     #[cold]
@@ -601,9 +601,9 @@ impl Commission {
         let least = PULSE * SIGNAL * self.noise;
         let is_quick = self.speed.abs() > QUIET * self.limits.speed
             || self.angle.abs() > QUIET_TRAVEL * self.travel;
-        let is_moved = self.angle.abs() > self.moved();
-        let is_dead = |periods| periods > 64 && self.still >= periods;
-        if is_moved && self.pulses.probing().is_some_and(is_dead) {
+        let has_moved = self.angle.abs() > self.moved();
+        let is_dead = |periods| periods > MOVES && self.still >= periods;
+        if has_moved && self.pulses.probing().is_some_and(is_dead) {
             self.stop(Reason::CurrentLost);
             return Wanted::Off;
         }
@@ -658,7 +658,7 @@ impl Commission {
         self.least = (WITHIN * self.low).max(ripple).min(0.8 * self.low);
         self.fits.within_ripple = ripple > self.low;
         self.control.armature = Armature { resistance, inductive, lost, ripple };
-        self.watch.relearn();
+        self.watch.relearn(false);
         self.control.slew = (self.high / 12.0).min(SLEW * highest / inductive);
         let electrical = 0.6 * inductive / resistance;
         self.window_periods = electrical.max(WINDOW.0).min(0.25 * WINDOW.1);
@@ -792,6 +792,10 @@ impl Commission {
                 self.shaft.add(x, y);
             }
         }
+        if self.jumps() {
+            self.stop(Reason::EncoderLost);
+            return;
+        }
         let turned_back = self.before.turned() * self.window.turned() <= 0.0;
         self.before = core::mem::take(&mut self.window);
         self.windows += 1;
@@ -815,6 +819,15 @@ impl Commission {
         }
     }
 
+    /// Whether the shaft turned more or less than in the window before by more than a motor can make.
+    fn jumps(&self) -> bool {
+        let periods = self.window.periods;
+        let acceleration = self.fits.turn_speed / self.ramp;
+        let most = LIVELY * acceleration * periods * periods * self.period + COUNTS * self.grain;
+        let gained = (self.window.turned() - self.before.turned()).abs();
+        self.before.periods == periods && !self.is_blocked() && gained > most
+    }
+
     fn is_blocked(&self) -> bool {
         self.fits.unseen == Some(Reason::Blocked)
     }
@@ -831,7 +844,7 @@ impl Commission {
             && inductive > resistance
         {
             self.tune(resistance, lost, inductive, LOW, highest);
-            self.watch.within = true;
+            self.watch.relearn(true);
         }
         self.enter(Phase::Short);
     }
@@ -855,7 +868,7 @@ impl Commission {
             let uncertain = 3.0 * (solved.deviations[0] + short.deviations[0]);
             (resistance - short.values[0]).abs() <= STEADY * resistance.abs() + uncertain
         };
-        if self.fits.short.as_ref().is_some_and(agrees) {
+        if self.fits.within_ripple || self.fits.short.as_ref().is_some_and(agrees) {
             self.fits.long = Some(solved);
             self.closing = Closing::Shaft;
         } else {
