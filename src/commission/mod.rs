@@ -34,6 +34,7 @@
 //! For drives in `f32` only: measuring needs floating point, and a chip without it has not the room.
 
 mod current;
+mod extremes;
 mod findings;
 mod fit;
 mod nameplate;
@@ -53,6 +54,7 @@ use crate::math::{Scalar, sqrt};
 use crate::per_unit::Bases;
 use crate::sense::{Measured, Sensing, Sensors};
 use current::{Armature, CurrentLoop};
+use extremes::Extremes;
 use findings::Fits;
 use fit::{Fit, Solution};
 use pulses::{Pulsed, Pulses};
@@ -343,7 +345,7 @@ impl Commission {
             Sensors::Exact => 0.0,
             Sensors::Codes(calibration) => calibration.current_per_code.abs(),
         };
-        let averaged = counted.max(WINDOW.0).min(4.0 * WINDOW.0);
+        let averaged = counted.greater(WINDOW.0).lesser(4.0 * WINDOW.0);
         Ok(Self {
             phase: Phase::Rest,
             stopped: None,
@@ -421,7 +423,7 @@ impl Commission {
             Phase::Over => return Progress::OVER,
         };
         let share = self.elapsed as f32 * self.period / longest;
-        Progress { phase: self.phase, share: share.min(1.0) }
+        Progress { phase: self.phase, share: share.lesser(1.0) }
     }
 
     /// Turns outputs off for good. What was found until then stays.
@@ -443,7 +445,7 @@ impl Commission {
         if let Err(reason) = self.limits_hold(&measured) {
             return self.stop(reason);
         }
-        let highest = (self.limits.duty * measured.bus_voltage).min(self.voltage);
+        let highest = (self.limits.duty * measured.bus_voltage).lesser(self.voltage);
         if let Err(reason) = self.sensors_agree(&period, highest) {
             return self.stop(reason);
         }
@@ -488,7 +490,7 @@ impl Commission {
         self.current = current;
         self.angle += turned;
         self.late_angle += (self.angle - self.late_angle) / self.averaged;
-        self.back = self.back.min(self.sign * self.angle);
+        self.back = self.back.lesser(self.sign * self.angle);
         self.speed += (turned * self.rate - self.speed) / self.averaged;
         // The encoder's reads lie before the current's: where it was then, this sample and the last one tell.
         Period { turned: before.turned + self.lag * (turned - before.turned), ..before }
@@ -559,7 +561,7 @@ impl Commission {
 
     /// Angle from which the shaft has moved (rad).
     fn moved(&self) -> f32 {
-        MOVED * self.grain.max(1e-3)
+        MOVED * self.grain.greater(1e-3)
     }
 
     /// Outputs off: what the sensors show of nothing.
@@ -584,8 +586,8 @@ impl Commission {
         // What noise there is within a code does not show.
         let rounding = self.resolution * self.resolution / 12.0;
         let limit = self.limits.current_command;
-        let noise = sqrt((square - mean * mean).max(0.0) + rounding);
-        self.noise = noise.max(LEAST_NOISE * limit);
+        let noise = sqrt((square - mean * mean).greater(0.0) + rounding);
+        self.noise = noise.greater(LEAST_NOISE * limit);
         if self.offset.abs() > PULSE * limit {
             self.stop(Reason::CurrentZero);
         } else if limit < SIGNAL * self.noise {
@@ -634,14 +636,14 @@ impl Commission {
     /// Levels and windows, from what the pulses showed.
     fn plan(&mut self, highest: f32) {
         let [resistance, lost, _, inductive] = self.pulses.fit.solve([0.0; 4]).values;
-        let known = resistance.max(inductive);
+        let known = resistance.greater(inductive);
         if !(known > 0.0 && known.is_finite()) {
             self.stop(Reason::Unexplained);
             return;
         }
         // Rough as they are, R below Λ/1000 or above what leaves an inductance would be too much.
-        let inductive = inductive.max(LEAST_INDUCTIVE * resistance);
-        self.tune(resistance.max(1e-3 * inductive), lost, inductive, LOW_MOST, highest);
+        let inductive = inductive.greater(LEAST_INDUCTIVE * resistance);
+        self.tune(resistance.greater(1e-3 * inductive), lost, inductive, LOW_MOST, highest);
         self.back = 0.0;
         if self.high < 0.5 * SIGNAL * self.noise {
             self.stop(Reason::NoisyCurrent);
@@ -652,16 +654,16 @@ impl Commission {
 
     /// The current's control, its levels and short windows for an armature.
     fn tune(&mut self, resistance: f32, lost: f32, inductive: f32, low: f32, highest: f32) {
-        self.high = self.most.min((HIGH_VOLTAGE * highest - lost) / resistance);
+        self.high = self.most.lesser((HIGH_VOLTAGE * highest - lost) / resistance);
         let ripple = RIPPLE * highest / inductive;
-        self.low = (low * self.high).max(1.3 * ripple).min(LOW_MOST * self.high);
-        self.least = (WITHIN * self.low).max(ripple).min(0.8 * self.low);
+        self.low = (low * self.high).greater(1.3 * ripple).lesser(LOW_MOST * self.high);
+        self.least = (WITHIN * self.low).greater(ripple).lesser(0.8 * self.low);
         self.fits.within_ripple = ripple > self.low;
         self.control.armature = Armature { resistance, inductive, lost, ripple };
         self.watch.relearn(false);
-        self.control.slew = (self.high / 12.0).min(SLEW * highest / inductive);
+        self.control.slew = (self.high / 12.0).lesser(SLEW * highest / inductive);
         let electrical = 0.6 * inductive / resistance;
-        self.window_periods = electrical.max(WINDOW.0).min(0.25 * WINDOW.1);
+        self.window_periods = electrical.greater(WINDOW.0).lesser(0.25 * WINDOW.1);
     }
 
     fn launch(&mut self, highest: f32) -> Wanted {
@@ -691,7 +693,7 @@ impl Commission {
                 self.enter(Phase::Trial);
             }
         }
-        Wanted::Current((time / RAMP).min(1.0) * self.high)
+        Wanted::Current((time / RAMP).lesser(1.0) * self.high)
     }
 
     /// Direction, and from how fast the shaft got how long it takes to turning speed at the higher level; a lower one where that is
@@ -710,21 +712,21 @@ impl Commission {
         // As fast as the voltage allows at the higher level.
         let back_emf = self.control.voltage - self.control.armature.voltage(self.current);
         let room = (TURN_VOLTAGE * highest - self.control.armature.voltage(self.high)) / back_emf;
-        let reached = self.speed.min(self.turn_speed);
-        let speed = if room > 0.0 { reached.min(room * self.speed) } else { reached };
+        let reached = self.speed.lesser(self.turn_speed);
+        let speed = if room > 0.0 { reached.lesser(room * self.speed) } else { reached };
         let acceleration = self.acceleration(time);
         let least = QUICK * (self.averaged + self.window_periods + TURN);
         let by_speed = speed / acceleration * self.rate;
         let by_travel = sqrt(TURN_TRAVEL * self.travel / acceleration) * self.rate;
         let slowed = by_travel / least;
-        let share = (by_speed / least).min(slowed * slowed).min(1.0);
+        let share = (by_speed / least).lesser(slowed * slowed).lesser(1.0);
         let Armature { resistance, inductive, lost, .. } = self.control.armature;
         self.most = share * self.high;
         self.tune(resistance, lost, inductive, LOW_MOST, highest);
-        self.ramp = by_speed.min(by_travel) / share;
-        let near = speed * (WINDOWS * self.window_periods / self.ramp).min(1.0);
+        self.ramp = by_speed.lesser(by_travel) / share;
+        let near = speed * (WINDOWS * self.window_periods / self.ramp).lesser(1.0);
         let resolved = 0.5 * WINDOW_COUNTS * self.grain * self.rate / self.averaged;
-        self.turn_speed = near.max(resolved).min(speed);
+        self.turn_speed = near.greater(resolved).lesser(speed);
         self.fits.turn_speed = speed;
         // Not the other way round: a NaN is nothing seen.
         let is_seen = self.high >= 0.25 * SIGNAL * self.noise;
@@ -785,7 +787,7 @@ impl Commission {
         let [start, middle] = self.speeds;
         self.speeds = [middle, self.speed];
         let direction = if self.speed > 0.0 { 1.0 } else { -1.0 };
-        let least = (direction * start).min(direction * self.speed);
+        let least = (direction * start).lesser(direction * self.speed);
         if least > ONWARD * self.turn_speed {
             let row = self.window.shaft(&self.before, direction, self.period);
             if let Some((x, y)) = row {
@@ -855,8 +857,10 @@ impl Commission {
             self.phase = Phase::Over;
             return;
         }
-        self.window_periods =
-            (self.ramp / WINDOWS).max(self.window_periods).max(self.averaged).min(WINDOW.1);
+        self.window_periods = (self.ramp / WINDOWS)
+            .greater(self.window_periods)
+            .greater(self.averaged)
+            .lesser(WINDOW.1);
         self.turn_speed = self.fits.turn_speed;
         self.enter(Phase::Long);
     }

@@ -5,6 +5,7 @@
 //! What is enough grows from pulse to pulse, as long as the shaft does not turn too much.
 //! Rise, hold and fall differ in how much of the voltage goes into R, L and the losses, which separates them.
 
+use super::extremes::Extremes;
 use super::fit::Fit;
 use super::window::{Period, Window};
 
@@ -124,7 +125,7 @@ impl Pulses {
         is_quick: bool,
     ) -> Pulsed {
         let current = now.abs();
-        self.enough = self.enough.max(least);
+        self.enough = self.enough.greater(least);
         self.is_quick |= is_quick;
         // A shaft that is free turns as much, and an encoder's few counts would be too coarse.
         self.charge += 0.5 * (period.currents[0] + period.currents[1]);
@@ -136,7 +137,7 @@ impl Pulses {
         match self.stage {
             Stage::Rise => {
                 let growth = if self.ratio > 0.0 { GROWTH } else { PROBE };
-                self.magnitude = (self.magnitude * growth).max(FIRST * highest).min(highest);
+                self.magnitude = (self.magnitude * growth).greater(FIRST * highest).lesser(highest);
                 self.at_highest += u32::from(self.magnitude >= highest);
                 if self.at_highest > OPEN && current < least {
                     return Pulsed::NoCurrent;
@@ -173,7 +174,7 @@ impl Pulses {
                     self.sign = -self.sign;
                     self.enter(Stage::Rise);
                     if !core::mem::take(&mut self.is_quick) && self.enough < self.most {
-                        self.enough = (2.0 * self.enough).min(self.most);
+                        self.enough = (2.0 * self.enough).lesser(self.most);
                         self.fit = Fit::default();
                         self.done = 0;
                     }

@@ -12,6 +12,7 @@
 //! Healthy motors came to half of each of the limits below: 2000 random ones, and 600 with tight limits of speed or travel.
 
 use super::current::{Armature, CurrentLoop};
+use super::extremes::Extremes;
 use super::findings::Reason;
 use super::window::Period;
 
@@ -92,7 +93,7 @@ impl Watch {
     pub(super) fn direct(&mut self, sign: f32) {
         self.is_directed = true;
         self.speed *= sign;
-        self.product = (sign * self.product).max(0.0);
+        self.product = (sign * self.product).greater(0.0);
     }
 
     /// Kb, as far as it is known (V·s/rad).
@@ -119,7 +120,7 @@ impl Watch {
         let expected = constant * self.speed;
         let count = constant.abs() * self.count;
         let impedance = resistance + INDUCTIVE * self.share * inductive;
-        let most = (self.wrong * self.limit * impedance).min(HIDDEN * highest);
+        let most = (self.wrong * self.limit * impedance).lesser(HIDDEN * highest);
         if (left - expected).abs() > most + JUMP * self.limit * inductive || self.error.abs() > off
         {
             Err(Reason::CurrentLost)
@@ -140,7 +141,7 @@ impl Watch {
             self.product = kept * self.product + self.back_emf * self.speed;
             // A motor's Kb is positive: else an encoder that turns round would be learnt.
             if self.is_directed {
-                self.product = self.product.max(0.0);
+                self.product = self.product.greater(0.0);
             }
         }
     }
