@@ -61,7 +61,7 @@ pub enum Reason {
     CurrentZero,
     /// The current limit (or the current that the voltage can make) is less than 60 times the noise of the current.
     NoisyCurrent,
-    /// No current flowed at the highest voltage.
+    /// No current was seen at the highest voltage, and neither did the shaft move nor was the sensor's noise missing.
     LeadOpen,
     /// Pulses of voltage made a current that no armature makes.
     Unexplained,
@@ -69,12 +69,6 @@ pub enum Reason {
     Blocked,
     /// There was a back-EMF, but the encoder did not count.
     EncoderMissing,
-    /// While it was measured the current was not what the voltage makes, or stood still.
-    CurrentLost,
-    /// While it was measured the speed was not what the back-EMF tells.
-    EncoderLost,
-    /// The resistance changed while it was measured.
-    Unsteady,
     /// At the least current that its sensor shows the shaft would be beyond the limits of speed or travel before it could be turned back.
     TooQuick,
     /// The currents that limits allow are within their own ripple, where what brushes and dead time take looks like resistance.
@@ -83,6 +77,12 @@ pub enum Reason {
     Imprecise,
     /// Kb is not within a third of what the nameplate says: wrong counts per turn, or another motor.
     NoLoadSpeed,
+    /// While it was measured the current was not what the voltage makes, or stood still.
+    CurrentLost,
+    /// While it was measured the speed was not what the back-EMF tells.
+    EncoderLost,
+    /// The resistance changed from the short to the long windows.
+    Unsteady,
 }
 
 impl fmt::Display for Reason {
@@ -107,6 +107,12 @@ impl fmt::Display for Reason {
             Self::Unexplained => "pulses of voltage made a current that no armature makes",
             Self::Blocked => "the shaft did not turn: it is blocked",
             Self::EncoderMissing => "the motor turned, and the encoder did not count",
+            Self::TooQuick => "the limits of speed or travel leave no time to turn the shaft back",
+            Self::Ripple => "the currents that the limits allow are within their own ripple",
+            Self::Imprecise => "not known to within half of it: the limits leave too little to see",
+            Self::NoLoadSpeed => {
+                "the nameplate says otherwise: wrong counts per turn, or another motor"
+            }
             Self::CurrentLost => {
                 "the current is not what the voltage makes: its sensor died, or a motor lead opened"
             }
@@ -115,12 +121,6 @@ impl fmt::Display for Reason {
             }
             Self::Unsteady => {
                 "the resistance changed while it was measured: the current sensor, or a loose lead"
-            }
-            Self::TooQuick => "the limits of speed or travel leave no time to turn the shaft back",
-            Self::Ripple => "the currents that the limits allow are within their own ripple",
-            Self::Imprecise => "not known to within half of it: the limits leave too little to see",
-            Self::NoLoadSpeed => {
-                "the nameplate says otherwise: wrong counts per turn, or another motor"
             }
         })
     }

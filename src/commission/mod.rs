@@ -4,9 +4,8 @@
 //! [`Commission`] is given each period's sample and gives the bridge's command in place of a [`Drive`](crate::drive::Drive). It goes
 //! through the [phases](Phase) below, each of which ends after a bounded time if the bus is steady.
 //!
-//! Its limits are as good as the sensors: a current sensor or an encoder that dies while it measures is not noticed, and a reviewer's simulations then
-//! found several times the limit. An encoder that is missing from the start is noticed. Until this is mended, commission on a supply whose
-//! own current limit is safe, and stay near the switch.
+//! Its limits hold at every instant while the sensors work. A sensor that dies, and a lead that opens, contradicts the others and ends it
+//! (`watch.rs`), after some current, speed or travel beyond the limits: `tests/commission_sensors.rs` says how much.
 //!
 //! | phase | the bridge | shows |
 //! |---|---|---|
