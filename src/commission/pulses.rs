@@ -139,10 +139,11 @@ impl Pulses {
                 let growth = if self.ratio > 0.0 { GROWTH } else { PROBE };
                 self.magnitude = (self.magnitude * growth).greater(FIRST * highest).lesser(highest);
                 self.at_highest += u32::from(self.magnitude >= highest);
-                if self.at_highest > OPEN && current < least {
+                let is_long = self.at_highest > LONGEST || self.periods > RISE;
+                if current < least && (is_long || self.at_highest > OPEN) {
                     return Pulsed::NoCurrent;
                 }
-                if self.at_highest > LONGEST || self.periods > RISE {
+                if is_long {
                     // As much as the voltage makes.
                     self.enough = current;
                     self.most = current;
