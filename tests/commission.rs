@@ -289,7 +289,7 @@ fn a_missing_encoder_an_open_lead_and_a_spinning_shaft_are_named() {
         let no_load = bench.scenario.bus.voltage / bench.scenario.motor.back_emf_constant;
         assert!(run.speed < 0.25 * no_load, "{} of {no_load}", run.speed);
     }
-    let run = falsified(&bench, |codes| codes.current = 2048);
+    let run = bench.run_on(&bench.config(), |_, board, _| board.open_lead());
     assert_eq!(run.findings.stopped, Some(Reason::LeadOpen));
     let mut spinning = paper();
     spinning.scenario.initial.speed = 5.0;

@@ -40,6 +40,8 @@ pub struct SimulatedBoard<S> {
     bus_now: f64,
     /// What the bridge does until a delayed command takes effect.
     acting: BridgeCommand<f64>,
+    /// Whether a motor lead is open.
+    lead_open: bool,
     bases: Bases,
     scalar: PhantomData<S>,
 }
@@ -70,6 +72,7 @@ impl<S: SimulatedScalar> SimulatedBoard<S> {
             time: 0.0,
             bus_now,
             acting: BridgeCommand::Off,
+            lead_open: false,
             bases,
             scalar: PhantomData,
         }
@@ -83,6 +86,18 @@ impl<S: SimulatedScalar> SimulatedBoard<S> {
     /// The motor's state.
     pub fn state(&self) -> State {
         self.state
+    }
+
+    /// Opens a motor lead, from now on.
+    pub fn open_lead(&mut self) {
+        self.lead_open = true;
+        self.state.current = 0.0;
+    }
+
+    /// Another voltage of the bus without load (V), from now on.
+    pub fn set_bus_voltage(&mut self, voltage: f64) {
+        self.bus_voltage = voltage;
+        self.bus_steps.clear();
     }
 
     /// Torque that opposes the motor beyond viscous friction [N·m]: what a disturbance observer is to find.
@@ -101,6 +116,7 @@ impl<S: SimulatedScalar> SimulatedBoard<S> {
     #[inline]
     fn advance(&mut self, acting: BridgeCommand<f64>) {
         let armature = match acting {
+            _ if self.lead_open => Armature::Open(f64::INFINITY),
             BridgeCommand::Off => Armature::Open(self.bus_now),
             BridgeCommand::Duty(duty) => Armature::Driven(self.bridge.voltage(
                 duty,

@@ -42,6 +42,8 @@ pub struct Run {
     pub angle: f64,
     /// Largest duty that was commanded.
     pub duty: f64,
+    /// Periods in which the true current was beyond its limit.
+    pub beyond: u32,
 }
 
 /// Speeds of the load steps over the speed without load, and when (s) the drive is armed, is steady, gets the load, and is done.
@@ -195,10 +197,21 @@ impl Bench {
         config: &CommissionConfig,
         mut meddle: impl FnMut(&mut Commission, &mut Sample<f32>),
     ) -> Run {
+        self.run_on(config, |commission, _, sample| meddle(commission, sample))
+    }
+
+    /// The same; `meddle` may do something to the board too.
+    pub fn run_on(
+        &self,
+        config: &CommissionConfig,
+        mut meddle: impl FnMut(&mut Commission, &mut SimulatedBoard<f32>, &mut Sample<f32>),
+    ) -> Run {
         #[expect(clippy::expect_used, reason = "a bench's own limits")]
         let mut commission = Commission::new(config).expect("valid");
         let mut board = self.board();
         let [mut current, mut speed, mut farthest, mut duty, mut angle] = [0.0_f64; 5];
+        let limit = f64::from(config.limits.current_command);
+        let mut beyond = 0;
         let mut over = None;
         // What coasts on has to stay within limits too.
         while over.is_none_or(|over| board.time() < over + COASTING) {
@@ -206,7 +219,7 @@ impl Bench {
                 over = Some(board.time());
             }
             let mut sample = board.sample();
-            meddle(&mut commission, &mut sample);
+            meddle(&mut commission, &mut board, &mut sample);
             let command = commission.step(&sample);
             if let BridgeCommand::Duty(commanded) = command {
                 duty = duty.max(f64::from(commanded).abs());
@@ -216,12 +229,13 @@ impl Bench {
             let state = board.state();
             angle += 0.5 * (before.speed + state.speed) / self.scenario.timing.rate;
             current = current.max(state.current.abs());
+            beyond += u32::from(state.current.abs() > limit);
             speed = speed.max(state.speed.abs());
             farthest = farthest.max(angle.abs());
         }
         let findings = commission.findings();
         let time = over.unwrap_or(board.time());
-        Run { findings, time, current, speed, angle: farthest, duty }
+        Run { findings, time, current, speed, angle: farthest, duty, beyond }
     }
 
     /// What a drive would be tuned from that knew the truth.

@@ -2,15 +2,30 @@
 
 use crate::math::Scalar;
 
-/// Controls the current: its zero cancels the armature's pole, and the loop closes within some ten periods.
-#[derive(Clone, Debug, Default)]
-pub(super) struct CurrentLoop {
+/// What is roughly known of the armature.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Armature {
     /// R (Ω).
     pub resistance: f32,
     /// Λ = 1/Bd (Ω).
     pub inductive: f32,
     /// V0 (V).
     pub lost: f32,
+    /// Current within whose ripple V0 changes its sign (A).
+    pub ripple: f32,
+}
+
+impl Armature {
+    /// Voltage that a current takes with the shaft at rest (V).
+    pub(super) fn voltage(&self, current: f32) -> f32 {
+        self.resistance * current + self.lost * (current / self.ripple).limited(1.0)
+    }
+}
+
+/// Controls the current: its zero cancels the armature's pole, and the loop closes within some ten periods.
+#[derive(Clone, Debug, Default)]
+pub(super) struct CurrentLoop {
+    pub armature: Armature,
     /// Most that the reference moves in a period (A).
     pub slew: f32,
     reference: f32,
@@ -24,10 +39,15 @@ impl CurrentLoop {
     /// stable with an armature of a third of the inductance.
     const SHARE: f32 = 0.2;
 
+    pub(super) fn error(&self) -> f32 {
+        self.error
+    }
+
     pub(super) fn step(&mut self, current: f32, wanted: f32, highest: f32) -> f32 {
         self.reference += (wanted - self.reference).limited(self.slew);
         let error = self.reference - current;
-        let change = self.inductive * (error - self.error) + self.resistance * self.error;
+        let Armature { resistance, inductive, .. } = self.armature;
+        let change = inductive * (error - self.error) + resistance * self.error;
         self.error = error;
         self.voltage = (self.voltage + Self::SHARE * change).limited(highest);
         self.voltage

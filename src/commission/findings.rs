@@ -61,7 +61,7 @@ pub enum Reason {
     CurrentZero,
     /// The current limit (or the current that the voltage can make) is less than 60 times the noise of the current.
     NoisyCurrent,
-    /// No current flowed at the highest voltage.
+    /// No current was seen at the highest voltage, and neither did the shaft move nor was the sensor's noise missing.
     LeadOpen,
     /// Pulses of voltage made a current that no armature makes.
     Unexplained,
@@ -77,6 +77,12 @@ pub enum Reason {
     Imprecise,
     /// Kb is not within a third of what the nameplate says: wrong counts per turn, or another motor.
     NoLoadSpeed,
+    /// While it was measured the current was not what the voltage makes, or stood still.
+    CurrentLost,
+    /// While it was measured the speed was not what the back-EMF tells.
+    EncoderLost,
+    /// The resistance changed from the short to the long windows.
+    Unsteady,
 }
 
 impl fmt::Display for Reason {
@@ -95,7 +101,9 @@ impl fmt::Display for Reason {
             Self::Turning => "the shaft turned with outputs off",
             Self::CurrentZero => "the current sensor showed a current with outputs off",
             Self::NoisyCurrent => "the current limit is too low for the noise of the current",
-            Self::LeadOpen => "no current flowed: a motor lead is open",
+            Self::LeadOpen => {
+                "no current was seen: a motor lead is open, or the current sensor is dead"
+            }
             Self::Unexplained => "pulses of voltage made a current that no armature makes",
             Self::Blocked => "the shaft did not turn: it is blocked",
             Self::EncoderMissing => "the motor turned, and the encoder did not count",
@@ -104,6 +112,15 @@ impl fmt::Display for Reason {
             Self::Imprecise => "not known to within half of it: the limits leave too little to see",
             Self::NoLoadSpeed => {
                 "the nameplate says otherwise: wrong counts per turn, or another motor"
+            }
+            Self::CurrentLost => {
+                "the current is not what the voltage makes: its sensor died, or a motor lead opened"
+            }
+            Self::EncoderLost => {
+                "the speed is not what the back-EMF tells: the encoder died, or the current sensor"
+            }
+            Self::Unsteady => {
+                "the resistance changed while it was measured: the current sensor, or a loose lead"
             }
         })
     }

@@ -1,5 +1,6 @@
 //! Weighted least squares for up to four unknowns, in closed form from running sums.
 
+use super::extremes::Extremes;
 use crate::math::sqrt;
 use serde::{Deserialize, Serialize};
 
@@ -77,9 +78,9 @@ impl Fit {
             seen += if factors.per_pivot[i] > 0.0 { 1.0 } else { 0.0 };
         }
         let squares = self.squares.value();
-        let freedom = (self.rows - seen).max(1.0);
+        let freedom = (self.rows - seen).greater(1.0);
         let variance =
-            ((squares - explained) / freedom).max(ROUNDING * squares / self.rows.max(1.0));
+            ((squares - explained) / freedom).greater(ROUNDING * squares / self.rows.greater(1.0));
         let mut deviations = [f32::INFINITY; UNKNOWNS];
         for i in 0..UNKNOWNS {
             if factors.per_pivot[i] > 0.0 {

@@ -4,9 +4,8 @@
 //! [`Commission`] is given each period's sample and gives the bridge's command in place of a [`Drive`](crate::drive::Drive). It goes
 //! through the [phases](Phase) below, each of which ends after a bounded time if the bus is steady.
 //!
-//! Its limits are as good as the sensors: a current sensor or an encoder that dies while it measures is not noticed, and a reviewer's simulations then
-//! found several times the limit. An encoder that is missing from the start is noticed. Until this is mended, commission on a supply whose
-//! own current limit is safe, and stay near the switch.
+//! Its limits hold at every instant while the sensors work. A sensor that dies, and a lead that opens, contradicts the others and ends it
+//! (`watch.rs`), after some current, speed or travel beyond the limits: `tests/commission_sensors.rs` says how much.
 //!
 //! | phase | the bridge | shows |
 //! |---|---|---|
@@ -34,11 +33,13 @@
 //! For drives in `f32` only: measuring needs floating point, and a chip without it has not the room.
 
 mod current;
+mod extremes;
 mod findings;
 mod fit;
 mod nameplate;
 mod pulses;
 pub mod tuning;
+mod watch;
 mod window;
 
 pub use findings::{Evidence, Findings, Reason, Value};
@@ -51,11 +52,13 @@ use crate::limits::Limits;
 use crate::math::{Scalar, sqrt};
 use crate::per_unit::Bases;
 use crate::sense::{Measured, Sensing, Sensors};
-use current::CurrentLoop;
+use current::{Armature, CurrentLoop};
+use extremes::Extremes;
 use findings::Fits;
 use fit::{Fit, Solution};
 use pulses::{Pulsed, Pulses};
 use serde::{Deserialize, Serialize};
+use watch::Watch;
 use window::{Period, Window};
 
 /// What is known before the motor is measured.
@@ -122,6 +125,16 @@ impl Progress {
 
 /// Periods that outputs are off at first.
 const REST: u32 = 2048;
+
+/// Share of R that it may change by from the short to the long windows: a winding that warms up by 40 °C.
+const STEADY: f32 = 0.15;
+
+/// In pulses the current's code must not stand still for more than so many times as long as it did at rest, and for so many periods more, which
+/// it may take from code to code. So noise tells whether its sensor is alive.
+const STILL: (u32, u32) = (4, 128);
+
+/// Periods of the first pulse after which a shaft that moves without any current is a dead sensor.
+const MOVES: u32 = 64;
 
 /// The current limit must be this many times the noise's deviation.
 const SIGNAL: f32 = 60.0;
@@ -205,6 +218,15 @@ const WINDOWS: f32 = 8.0;
 /// Share of the turning speed from which the shaft does not turn back within two windows.
 const ONWARD: f32 = 0.15;
 
+/// Change of speed from window to window over what the launch showed, and counts besides, that no shaft makes. Healthy motors come to half of
+/// it: friction helps to turn.
+const LIVELY: f32 = 3.0;
+const COUNTS: f32 = 2.5;
+
+/// Error of the current, averaged, over its limit: while it grows slowly, and where it turns. Healthy motors come to half of it.
+const RAMPED: f32 = 0.04;
+const TURNED: f32 = 0.5;
+
 /// Windows after which a current turns whose shaft is blocked.
 const BLOCKED_WINDOWS: u32 = 16;
 
@@ -259,6 +281,10 @@ pub struct Commission {
     acting: f32,
     pulses: Pulses,
     control: CurrentLoop,
+    watch: Watch,
+    /// Periods that the current has stood still, and the most at rest.
+    still: u32,
+    stillest: u32,
     /// The levels of the current (A), and what the higher one is at most.
     most: f32,
     high: f32,
@@ -318,6 +344,7 @@ impl Commission {
             Sensors::Exact => 0.0,
             Sensors::Codes(calibration) => calibration.current_per_code.abs(),
         };
+        let averaged = counted.greater(WINDOW.0).lesser(4.0 * WINDOW.0);
         Ok(Self {
             phase: Phase::Rest,
             stopped: None,
@@ -345,7 +372,7 @@ impl Commission {
             last: Period::default(),
             speed: 0.0,
             speeds: [0.0; 2],
-            averaged: counted.max(WINDOW.0).min(4.0 * WINDOW.0),
+            averaged,
             angle: 0.0,
             late_angle: 0.0,
             start: 0.0,
@@ -353,6 +380,9 @@ impl Commission {
             acting: 0.0,
             pulses: Pulses::new(PULSE * limits.current_command),
             control: CurrentLoop::default(),
+            watch: Watch::new(limits.current_command, grain * timing.rate / averaged, averaged),
+            still: 0,
+            stillest: 0,
             most: HIGH * limits.current_command,
             high: 0.0,
             low: 0.0,
@@ -392,7 +422,7 @@ impl Commission {
             Phase::Over => return Progress::OVER,
         };
         let share = self.elapsed as f32 * self.period / longest;
-        Progress { phase: self.phase, share: share.min(1.0) }
+        Progress { phase: self.phase, share: share.lesser(1.0) }
     }
 
     /// Turns outputs off for good. What was found until then stays.
@@ -414,7 +444,10 @@ impl Commission {
         if let Err(reason) = self.limits_hold(&measured) {
             return self.stop(reason);
         }
-        let highest = (self.limits.duty * measured.bus_voltage).min(self.voltage);
+        let highest = (self.limits.duty * measured.bus_voltage).lesser(self.voltage);
+        if let Err(reason) = self.sensors_agree(&period, highest) {
+            return self.stop(reason);
+        }
         self.elapsed += 1;
         let wanted = match self.phase {
             Phase::Rest => self.rest(measured.bus_voltage),
@@ -448,6 +481,7 @@ impl Commission {
         // The first difference of counts is one to nothing.
         let advance = if self.seen { measured.rotation.advance } else { 0.0 };
         self.seen = true;
+        self.still = if current.to_bits() == self.current.to_bits() { self.still + 1 } else { 0 };
         let turned = self.turn_sign * self.unit * advance;
         let currents = [self.current, current];
         let last = Period { voltage: self.acting, currents, turned };
@@ -455,7 +489,7 @@ impl Commission {
         self.current = current;
         self.angle += turned;
         self.late_angle += (self.angle - self.late_angle) / self.averaged;
-        self.back = self.back.min(self.sign * self.angle);
+        self.back = self.back.lesser(self.sign * self.angle);
         self.speed += (turned * self.rate - self.speed) / self.averaged;
         // The encoder's reads lie before the current's: where it was then, this sample and the last one tell.
         Period { turned: before.turned + self.lag * (turned - before.turned), ..before }
@@ -482,6 +516,24 @@ impl Commission {
         }
     }
 
+    /// Whether voltage, current and speed agree, as soon as enough of the armature is known.
+    fn sensors_agree(&mut self, period: &Period, highest: f32) -> Result<(), Reason> {
+        match self.phase {
+            Phase::Rest => {
+                self.stillest = self.stillest.max(self.still);
+                return Ok(());
+            }
+            Phase::Pulses => {
+                let is_dead = self.still > STILL.0 * self.stillest + STILL.1;
+                return if is_dead { Err(Reason::CurrentLost) } else { Ok(()) };
+            }
+            _ => {}
+        }
+        let follows = if self.phase == Phase::Launch { RAMPED } else { TURNED };
+        let off = follows * self.limits.current_command + 2.0 * self.noise;
+        self.watch.step(period, period.turned * self.rate, &self.control, off, highest)
+    }
+
     #[cold]
     #[inline(never)]
     fn stop(&mut self, reason: Reason) -> BridgeCommand<f32> {
@@ -506,6 +558,11 @@ impl Commission {
         self.closing = Closing::Not;
     }
 
+    /// Angle from which the shaft has moved (rad).
+    fn moved(&self) -> f32 {
+        MOVED * self.grain.greater(1e-3)
+    }
+
     /// Outputs off: what the sensors show of nothing.
     fn rest(&mut self, bus_voltage: f32) -> Wanted {
         let current = self.current;
@@ -516,7 +573,7 @@ impl Commission {
         self.sums[0] += difference;
         self.sums[1] += difference * difference;
         self.sums[2] += bus_voltage;
-        if self.angle.abs() > MOVED * self.grain.max(1e-3) {
+        if self.angle.abs() > self.moved() {
             self.stop(Reason::Turning);
         }
         if self.elapsed < REST {
@@ -528,8 +585,8 @@ impl Commission {
         // What noise there is within a code does not show.
         let rounding = self.resolution * self.resolution / 12.0;
         let limit = self.limits.current_command;
-        let noise = sqrt((square - mean * mean).max(0.0) + rounding);
-        self.noise = noise.max(LEAST_NOISE * limit);
+        let noise = sqrt((square - mean * mean).greater(0.0) + rounding);
+        self.noise = noise.greater(LEAST_NOISE * limit);
         if self.offset.abs() > PULSE * limit {
             self.stop(Reason::CurrentZero);
         } else if limit < SIGNAL * self.noise {
@@ -545,6 +602,12 @@ impl Commission {
         let least = PULSE * SIGNAL * self.noise;
         let is_quick = self.speed.abs() > QUIET * self.limits.speed
             || self.angle.abs() > QUIET_TRAVEL * self.travel;
+        let has_moved = self.angle.abs() > self.moved();
+        let is_dead = |periods| periods > MOVES && self.still >= periods;
+        if has_moved && self.pulses.probing().is_some_and(is_dead) {
+            self.stop(Reason::CurrentLost);
+            return Wanted::Off;
+        }
         match self.pulses.step(period, self.current, highest, least, is_quick) {
             Pulsed::Voltage(voltage) => {
                 if core::mem::take(&mut self.pulses.is_reversed) {
@@ -558,6 +621,10 @@ impl Commission {
                 self.stop(Reason::LeadOpen);
                 Wanted::Off
             }
+            Pulsed::LessCurrent => {
+                self.stop(Reason::CurrentLost);
+                Wanted::Off
+            }
             Pulsed::Done => {
                 self.plan(highest);
                 Wanted::Voltage(0.0)
@@ -568,14 +635,14 @@ impl Commission {
     /// Levels and windows, from what the pulses showed.
     fn plan(&mut self, highest: f32) {
         let [resistance, lost, _, inductive] = self.pulses.fit.solve([0.0; 4]).values;
-        let known = resistance.max(inductive);
+        let known = resistance.greater(inductive);
         if !(known > 0.0 && known.is_finite()) {
             self.stop(Reason::Unexplained);
             return;
         }
         // Rough as they are, R below Λ/1000 or above what leaves an inductance would be too much.
-        let inductive = inductive.max(LEAST_INDUCTIVE * resistance);
-        self.tune(resistance.max(1e-3 * inductive), lost, inductive, LOW_MOST, highest);
+        let inductive = inductive.greater(LEAST_INDUCTIVE * resistance);
+        self.tune(resistance.greater(1e-3 * inductive), lost, inductive, LOW_MOST, highest);
         self.back = 0.0;
         if self.high < 0.5 * SIGNAL * self.noise {
             self.stop(Reason::NoisyCurrent);
@@ -586,17 +653,16 @@ impl Commission {
 
     /// The current's control, its levels and short windows for an armature.
     fn tune(&mut self, resistance: f32, lost: f32, inductive: f32, low: f32, highest: f32) {
-        self.high = self.most.min((HIGH_VOLTAGE * highest - lost) / resistance);
+        self.high = self.most.lesser((HIGH_VOLTAGE * highest - lost) / resistance);
         let ripple = RIPPLE * highest / inductive;
-        self.low = (low * self.high).max(1.3 * ripple).min(LOW_MOST * self.high);
-        self.least = (WITHIN * self.low).max(ripple).min(0.8 * self.low);
+        self.low = (low * self.high).greater(1.3 * ripple).lesser(LOW_MOST * self.high);
+        self.least = (WITHIN * self.low).greater(ripple).lesser(0.8 * self.low);
         self.fits.within_ripple = ripple > self.low;
-        self.control.resistance = resistance;
-        self.control.lost = lost;
-        self.control.inductive = inductive;
-        self.control.slew = (self.high / 12.0).min(SLEW * highest / inductive);
+        self.control.armature = Armature { resistance, inductive, lost, ripple };
+        self.watch.relearn(false);
+        self.control.slew = (self.high / 12.0).lesser(SLEW * highest / inductive);
         let electrical = 0.6 * inductive / resistance;
-        self.window_periods = electrical.max(WINDOW.0).min(0.25 * WINDOW.1);
+        self.window_periods = electrical.greater(WINDOW.0).lesser(0.25 * WINDOW.1);
     }
 
     fn launch(&mut self, highest: f32) -> Wanted {
@@ -607,11 +673,11 @@ impl Commission {
             return Wanted::Voltage(0.0);
         }
         let moved = (self.angle - self.start).abs();
-        let is_moving = moved > MOVED * self.grain.max(1e-3);
+        let is_moving = moved > self.moved();
         let is_fast = self.speed.abs() >= self.turn_speed
             || self.control.voltage >= TURN_VOLTAGE * highest
             || 2.0 * moved + self.start.abs() >= TURN_TRAVEL * self.travel;
-        let back_emf = self.control.voltage - self.lost(self.current);
+        let back_emf = self.control.voltage - self.control.armature.voltage(self.current);
         if !is_moving && time > BLIND.1 && back_emf > BLIND.0 * highest {
             self.stop(Reason::EncoderMissing);
         } else if (is_fast && is_moving) || time > LAUNCH {
@@ -626,12 +692,7 @@ impl Commission {
                 self.enter(Phase::Trial);
             }
         }
-        Wanted::Current((time / RAMP).min(1.0) * self.high)
-    }
-
-    /// Voltage that a current takes with the shaft at rest (V).
-    fn lost(&self, current: f32) -> f32 {
-        self.control.resistance * current + self.control.lost
+        Wanted::Current((time / RAMP).lesser(1.0) * self.high)
     }
 
     /// Direction, and from how fast the shaft got how long it takes to turning speed at the higher level; a lower one where that is
@@ -645,25 +706,26 @@ impl Commission {
             self.speed = -self.speed;
             self.last.turned = -self.last.turned;
         }
+        self.watch.direct(self.turn_sign);
         self.fits.direction = Some(self.turn_sign);
         // As fast as the voltage allows at the higher level.
-        let back_emf = self.control.voltage - self.lost(self.current);
-        let room = (TURN_VOLTAGE * highest - self.lost(self.high)) / back_emf;
-        let reached = self.speed.min(self.turn_speed);
-        let speed = if room > 0.0 { reached.min(room * self.speed) } else { reached };
+        let back_emf = self.control.voltage - self.control.armature.voltage(self.current);
+        let room = (TURN_VOLTAGE * highest - self.control.armature.voltage(self.high)) / back_emf;
+        let reached = self.speed.lesser(self.turn_speed);
+        let speed = if room > 0.0 { reached.lesser(room * self.speed) } else { reached };
         let acceleration = self.acceleration(time);
         let least = QUICK * (self.averaged + self.window_periods + TURN);
         let by_speed = speed / acceleration * self.rate;
         let by_travel = sqrt(TURN_TRAVEL * self.travel / acceleration) * self.rate;
         let slowed = by_travel / least;
-        let share = (by_speed / least).min(slowed * slowed).min(1.0);
-        let CurrentLoop { resistance, inductive, lost, .. } = self.control;
+        let share = (by_speed / least).lesser(slowed * slowed).lesser(1.0);
+        let Armature { resistance, inductive, lost, .. } = self.control.armature;
         self.most = share * self.high;
         self.tune(resistance, lost, inductive, LOW_MOST, highest);
-        self.ramp = by_speed.min(by_travel) / share;
-        let near = speed * (WINDOWS * self.window_periods / self.ramp).min(1.0);
+        self.ramp = by_speed.lesser(by_travel) / share;
+        let near = speed * (WINDOWS * self.window_periods / self.ramp).lesser(1.0);
         let resolved = 0.5 * WINDOW_COUNTS * self.grain * self.rate / self.averaged;
-        self.turn_speed = near.max(resolved).min(speed);
+        self.turn_speed = near.greater(resolved).lesser(speed);
         self.fits.turn_speed = speed;
         // Not the other way round: a NaN is nothing seen.
         let is_seen = self.high >= 0.25 * SIGNAL * self.noise;
@@ -702,10 +764,7 @@ impl Commission {
                 match self.phase {
                     Phase::Trial => self.end_trial(&solved, highest),
                     Phase::Short => self.end_short(solved),
-                    _ => {
-                        self.fits.long = Some(solved);
-                        self.closing = Closing::Shaft;
-                    }
+                    _ => self.end_long(solved),
                 }
             }
             Closing::Shaft => {
@@ -727,12 +786,16 @@ impl Commission {
         let [start, middle] = self.speeds;
         self.speeds = [middle, self.speed];
         let direction = if self.speed > 0.0 { 1.0 } else { -1.0 };
-        let least = (direction * start).min(direction * self.speed);
+        let least = (direction * start).lesser(direction * self.speed);
         if least > ONWARD * self.turn_speed {
             let row = self.window.shaft(&self.before, direction, self.period);
             if let Some((x, y)) = row {
                 self.shaft.add(x, y);
             }
+        }
+        if self.jumps() {
+            self.stop(Reason::EncoderLost);
+            return;
         }
         let turned_back = self.before.turned() * self.window.turned() <= 0.0;
         self.before = core::mem::take(&mut self.window);
@@ -757,6 +820,15 @@ impl Commission {
         }
     }
 
+    /// Whether the shaft turned more or less than in the window before by more than a motor can make.
+    fn jumps(&self) -> bool {
+        let periods = self.window.periods;
+        let acceleration = self.fits.turn_speed / self.ramp;
+        let most = LIVELY * acceleration * periods * periods * self.period + COUNTS * self.grain;
+        let gained = (self.window.turned() - self.before.turned()).abs();
+        self.before.periods == periods && !self.is_blocked() && gained > most
+    }
+
     fn is_blocked(&self) -> bool {
         self.fits.unseen == Some(Reason::Blocked)
     }
@@ -773,6 +845,7 @@ impl Commission {
             && inductive > resistance
         {
             self.tune(resistance, lost, inductive, LOW, highest);
+            self.watch.relearn(true);
         }
         self.enter(Phase::Short);
     }
@@ -783,10 +856,27 @@ impl Commission {
             self.phase = Phase::Over;
             return;
         }
-        self.window_periods =
-            (self.ramp / WINDOWS).max(self.window_periods).max(self.averaged).min(WINDOW.1);
+        self.window_periods = (self.ramp / WINDOWS)
+            .greater(self.window_periods)
+            .greater(self.averaged)
+            .lesser(WINDOW.1);
         self.turn_speed = self.fits.turn_speed;
         self.enter(Phase::Long);
+    }
+
+    /// What the short windows showed must still be so.
+    fn end_long(&mut self, solved: Solution) {
+        let resistance = solved.values[0];
+        let agrees = |short: &Solution| {
+            let uncertain = 3.0 * (solved.deviations[0] + short.deviations[0]);
+            (resistance - short.values[0]).abs() <= STEADY * resistance.abs() + uncertain
+        };
+        if self.fits.within_ripple || self.fits.short.as_ref().is_some_and(agrees) {
+            self.fits.long = Some(solved);
+            self.closing = Closing::Shaft;
+        } else {
+            self.stop(Reason::Unsteady);
+        }
     }
 
     /// The armature. Noise in current and angle pulls their unknowns; how much, its variance tells at most: half of it is taken back, and

@@ -5,6 +5,7 @@
 //! What is enough grows from pulse to pulse, as long as the shaft does not turn too much.
 //! Rise, hold and fall differ in how much of the voltage goes into R, L and the losses, which separates them.
 
+use super::extremes::Extremes;
 use super::fit::Fit;
 use super::window::{Period, Window};
 
@@ -18,6 +19,14 @@ const FIRST: f32 = 0.002;
 /// much: to less than twice.
 const GROWTH: f32 = 1.03;
 
+/// The same in the first pulse, where nothing is known yet: slow enough for the shaft, if it is free, or for noise that is missing to show
+/// a sensor that is dead. An inductance takes a third of the voltage then.
+const PROBE: f32 = 1.01;
+const PROBED: f32 = 3.0;
+
+/// Voltage that the same share of current takes at most, over that of the pulse before: a fifth for noise and a warmer winding.
+const MORE: f32 = 1.2;
+
 /// What it falls by.
 const FALL: f32 = 0.9;
 
@@ -26,6 +35,10 @@ const HOLD: u32 = 20;
 
 /// Most periods at the highest voltage, and of a fall.
 const LONGEST: u32 = 400;
+
+/// Most periods of a rise whatever the bus does, and at the highest voltage without a current.
+const RISE: u32 = 1100;
+const OPEN: u32 = 100;
 
 /// Periods without voltage after a pulse.
 const PAUSE: u32 = 100;
@@ -48,6 +61,8 @@ pub(super) enum Pulsed {
     Voltage(f32),
     /// No current flows at the highest voltage.
     NoCurrent,
+    /// The current is less than the pulse before says.
+    LessCurrent,
     /// All are done.
     Done,
 }
@@ -56,8 +71,11 @@ pub(super) enum Pulsed {
 #[derive(Clone, Debug)]
 pub(super) struct Pulses {
     stage: Stage,
-    /// Periods in this stage, but in the rise at the highest voltage only.
+    /// Periods in this stage, and at the highest voltage.
     periods: u32,
+    at_highest: u32,
+    /// Voltage over current of the last pulse (Ω), at most; zero before the first.
+    ratio: f32,
     done: u32,
     sign: f32,
     magnitude: f32,
@@ -81,6 +99,8 @@ impl Pulses {
         Self {
             stage: Stage::Rise,
             periods: 0,
+            at_highest: 0,
+            ratio: 0.0,
             done: 0,
             sign: 1.0,
             magnitude: 0.0,
@@ -105,7 +125,7 @@ impl Pulses {
         is_quick: bool,
     ) -> Pulsed {
         let current = now.abs();
-        self.enough = self.enough.max(least);
+        self.enough = self.enough.greater(least);
         self.is_quick |= is_quick;
         // A shaft that is free turns as much, and an encoder's few counts would be too coarse.
         self.charge += 0.5 * (period.currents[0] + period.currents[1]);
@@ -116,22 +136,25 @@ impl Pulses {
         self.periods += 1;
         match self.stage {
             Stage::Rise => {
-                self.magnitude = (self.magnitude * GROWTH).max(FIRST * highest);
-                if self.magnitude < highest {
-                    self.periods = 0;
+                let growth = if self.ratio > 0.0 { GROWTH } else { PROBE };
+                self.magnitude = (self.magnitude * growth).greater(FIRST * highest).lesser(highest);
+                self.at_highest += u32::from(self.magnitude >= highest);
+                let is_long = self.at_highest > LONGEST || self.periods > RISE;
+                if current < least && (is_long || self.at_highest > OPEN) {
+                    return Pulsed::NoCurrent;
                 }
-                self.magnitude = self.magnitude.min(highest);
-                if self.periods > LONGEST {
+                if is_long {
                     // As much as the voltage makes.
-                    if current < least {
-                        return Pulsed::NoCurrent;
-                    }
                     self.enough = current;
                     self.most = current;
                 }
                 if current >= self.enough {
                     self.is_reversed = self.sign * now < 0.0;
+                    let slowly = if self.ratio > 0.0 { 1.0 } else { PROBED };
+                    self.ratio = slowly * self.magnitude / self.enough;
                     self.enter(Stage::Hold);
+                } else if self.ratio > 0.0 && self.magnitude > MORE * self.ratio * self.enough {
+                    return Pulsed::LessCurrent;
                 }
             }
             Stage::Hold => {
@@ -152,7 +175,7 @@ impl Pulses {
                     self.sign = -self.sign;
                     self.enter(Stage::Rise);
                     if !core::mem::take(&mut self.is_quick) && self.enough < self.most {
-                        self.enough = (2.0 * self.enough).min(self.most);
+                        self.enough = (2.0 * self.enough).lesser(self.most);
                         self.fit = Fit::default();
                         self.done = 0;
                     }
@@ -160,6 +183,11 @@ impl Pulses {
             }
         }
         if self.done < PULSES { Pulsed::Voltage(self.sign * self.magnitude) } else { Pulsed::Done }
+    }
+
+    /// Periods of the first pulse, until its current is seen.
+    pub(super) fn probing(&self) -> Option<u32> {
+        (self.ratio == 0.0).then_some(self.periods)
     }
 
     /// Share of them that is done.
@@ -176,5 +204,6 @@ impl Pulses {
         self.window = Window::default();
         self.stage = stage;
         self.periods = 0;
+        self.at_highest = 0;
     }
 }

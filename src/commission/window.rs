@@ -15,6 +15,7 @@
 //!
 //! with ī and ω̄ weighted by the same triangle. Both hold for any run of the current: nothing has to settle first.
 
+use super::extremes::Extremes;
 use super::fit::UNKNOWNS;
 
 /// A period between two samples.
@@ -71,7 +72,7 @@ impl Window {
             self.least = f32::INFINITY;
         }
         self.ends[1] = end;
-        self.least = self.least.min(sign * start);
+        self.least = self.least.lesser(sign * start);
         self.periods += 1.0;
         self.voltage += period.voltage;
         self.current += start;
