@@ -232,15 +232,16 @@ impl<S: Scalar> Drive<S> {
 
     /// Another controller, or the same with other gains, from the next step on: that of a drive which is built from the same
     /// configuration in everything but [`DriveConfig::control`]. In the middle of a run it takes over without a jump: it starts from the
-    /// speed that was known, the current that there is, and the voltage that acts. The one that ran until now goes to `other`.
+    /// speed that was known, the current that there is, and the voltage that acts. What `other` has then is of no use.
     pub fn take_controller(&mut self, other: &mut Self) {
         self.changed |= self.driving;
         if self.driving {
             self.idle_speed = self.controller.signals().speed;
             self.driving = false;
         }
+        // To exchange the tables too would take three times as long, in one period.
         core::mem::swap(&mut self.controller, &mut other.controller);
-        core::mem::swap(&mut self.injections, &mut other.injections);
+        self.injections = other.injections;
         self.controller.know(self.idle_speed);
     }
 

@@ -35,7 +35,7 @@ impl Neg for Double {
 }
 
 /// A graded table, with its quadratics in the position itself.
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug)]
 pub struct Table {
     origin: f64,
     per_unit: f64,

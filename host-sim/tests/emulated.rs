@@ -2,10 +2,12 @@
 
 use assert_cmd::Command;
 use host_sim::client::{Client, ClientError};
-use host_sim::emulated::{play, read_image, setup};
+use host_sim::emulated::{Emulated, play, read_image, setup};
 use host_sim::profile::{Load, Sine};
 use host_sim::scenario::Scenario;
 use predicates::str::contains;
+use quasidrive::commission::Nameplate;
+use quasidrive::link::message::Request;
 use quasidrive::supervisor::{Command as DriveCommand, Mode};
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
@@ -157,3 +159,45 @@ fn served_it_is_commanded_as_a_board_is() {
     let _ = process.wait();
     end.expect("answers");
 }
+
+/// The image measures its motor, and what it does in a period meanwhile, with the fits of a phase's end, leaves room in it.
+#[test]
+#[ignore = "needs the image: cargo xtask test"]
+fn it_measures_its_motor_within_its_periods() {
+    let free = scenario(|scenario| scenario.load = Load::default());
+    let emulated = Emulated::new(&image(), &free);
+    let mut client = setup::boot(&emulated).expect("boots");
+    setup::configure(&free, &file(), &mut client).expect("takes its parameters");
+    setup::wait_for(&emulated, &mut client, Mode::Ready).expect("ready");
+    // From now on: to take over parameters takes longer, with outputs off.
+    emulated.board().statistics().clear();
+    let nameplate = Nameplate { voltage: Some(24.0), current: Some(10.0), ..Nameplate::default() };
+    client.have_done(Request::Commission(nameplate)).expect("ready");
+    while matches!(client.status().expect("answers").mode, Mode::Armed | Mode::Commissioning) {
+        emulated.run(20e-3).expect("runs");
+    }
+    let findings = client.findings().expect("some");
+    assert_eq!((findings.stopped, client.status().expect("answers").mode), (None, Mode::Ready));
+    let motor = free.motor;
+    for (found, truth) in [
+        (findings.resistance, motor.resistance),
+        (findings.inductance, motor.inductance),
+        (findings.back_emf_constant, motor.back_emf_constant),
+        (findings.inertia, motor.inertia),
+    ] {
+        // As issue and README have it of random motors; the shunts' gain and dead time are the board's.
+        let found = f64::from(found.expect("seen").value);
+        assert!((found / truth - 1.0).abs() < 0.03, "{found} is not {truth}");
+    }
+    let mut board = emulated.board();
+    let control = &board.statistics().handlers()[&CONTROL];
+    let longest = control.cycles.max as f64 / CYCLES_A_PERIOD;
+    println!("control interrupt at most {:.1} % of a period, by estimate", 100.0 * longest);
+    assert!(longest < 0.6, "{longest} of a period");
+}
+
+/// Exception number of the control interrupt, ADC1_2.
+const CONTROL: u16 = 18 + 16;
+
+/// 170 MHz, and a counter to 4248 and back.
+const CYCLES_A_PERIOD: f64 = 8496.0;

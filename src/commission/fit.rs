@@ -82,11 +82,9 @@ impl Fit {
         let variance =
             ((squares - explained) / freedom).greater(ROUNDING * squares / self.rows.greater(1.0));
         let mut deviations = [f32::INFINITY; UNKNOWNS];
-        for i in 0..UNKNOWNS {
+        for (i, deviation) in deviations.iter_mut().enumerate() {
             if factors.per_pivot[i] > 0.0 {
-                let mut unit = [0.0; UNKNOWNS];
-                unit[i] = 1.0;
-                deviations[i] = sqrt(variance * factors.solve(unit)[i]);
+                *deviation = sqrt(variance * factors.inverse(i));
             }
         }
         Solution { values, deviations }
@@ -125,6 +123,20 @@ struct Factors {
 }
 
 impl Factors {
+    /// The inverse's element i in the diagonal: (L⁻¹)ᵀ·D⁻¹·L⁻¹, of which it takes column i of L⁻¹.
+    fn inverse(&self, i: usize) -> f32 {
+        let mut column = [0.0; UNKNOWNS];
+        column[i] = 1.0;
+        let mut sum = self.per_pivot[i];
+        for row in i + 1..UNKNOWNS {
+            for j in i..row {
+                column[row] -= self.lower[row][j] * column[j];
+            }
+            sum += column[row] * column[row] * self.per_pivot[row];
+        }
+        sum
+    }
+
     fn solve(&self, mut x: [f32; UNKNOWNS]) -> [f32; UNKNOWNS] {
         for i in 0..UNKNOWNS {
             for j in 0..i {

@@ -758,8 +758,8 @@ impl Commission {
             Closing::Not if self.window.periods < self.window_periods => {}
             Closing::Not => self.end_window(highest),
             Closing::Pulled => self.closing = Closing::Armature(self.armature.solve([0.0; 4])),
-            Closing::Armature(pulled) => {
-                let solved = self.solved(&pulled);
+            Closing::Armature(pulled) => self.closing = Closing::Solved(self.solved(&pulled)),
+            Closing::Solved(solved) => {
                 self.closing = Closing::Not;
                 match self.phase {
                     Phase::Trial => self.end_trial(&solved, highest),
@@ -915,7 +915,7 @@ impl Commission {
     }
 }
 
-/// What is to be solved next in a phase whose time is over: one solution a period, since two would not fit into one on a microcontroller.
+/// What is to be solved next in a phase whose time is over: one solution a period and nothing else, for a microcontroller to have time.
 #[derive(Clone, Copy, Debug)]
 enum Closing {
     /// Its time is not over.
@@ -924,6 +924,8 @@ enum Closing {
     Pulled,
     /// The armature, with that.
     Armature(Solution),
+    /// Nothing: this is what the phase came to.
+    Solved(Solution),
     Shaft,
 }
 

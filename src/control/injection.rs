@@ -27,7 +27,7 @@ pub const SLOPE_ERROR: f32 = 0.015;
 ///
 /// In fixed point, on a grid of equal segments, it is below 6e-5 for β up to 45, and 3e-3 at most, beside
 /// what rounding of the mismatch does.
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug)]
 pub struct Injection<S: Scalar>(S::Table);
 
 /// The largest β that a table is made for: beyond it g is a straight line with two corners that a controller with a slower loop
@@ -37,7 +37,7 @@ pub const MAX_BETA: f32 = 2000.0;
 /// The injections of a controller's first and second channel.
 ///
 /// They are large, and so apart from the controllers, which are passed on while they are built; these are filled where they are.
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug)]
 pub(crate) struct Injections<S: Scalar> {
     /// Of the disturbance.
     pub first: Injection<S>,

@@ -475,7 +475,7 @@ pub(super) mod rig {
                 ranges: &RANGES,
                 bases: &Bases::NONE,
             };
-            let controller = Controller::new(config, &setting, &mut NONE.clone());
+            let controller = Controller::new(config, &setting, &mut { *NONE });
             Ok(Self {
                 controller: controller.map_err(|error| error.field)?,
                 state: [0.0; 5],

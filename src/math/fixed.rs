@@ -52,7 +52,7 @@ pub struct Steep<const N: usize> {
 }
 
 /// A table of equal segments, each 2¹⁶ wide in the position.
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug)]
 #[repr(C)]
 pub struct Table {
     per_unit: Steep<1>,

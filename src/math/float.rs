@@ -5,7 +5,7 @@ use super::{Base, Scalar, sum_of_floors};
 use crate::config::ConfigError;
 
 /// A graded table, with its quadratics in the position itself: the function is so smooth that nothing is lost by that.
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug)]
 #[repr(C)] // What every step loads comes first, in reach of short loads.
 pub struct Table {
     per_unit: f32,

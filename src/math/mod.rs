@@ -57,7 +57,7 @@ pub trait Scalar:
     type Time: Copy + Debug;
 
     /// An odd function by a table.
-    type Table: Clone + Debug;
+    type Table: Copy + Debug;
 
     /// The signal 0.
     const ZERO: Self;

@@ -355,17 +355,18 @@ impl<W: World> Chip<W> {
     fn play(&mut self, cycle: Tick) {
         let now = self.now;
         let is_due = |next: Tick| next <= now;
-        if is_due(self.tim1.next_event(cycle)) {
-            let was_on = self.tim1.main_output();
-            self.tim1.advance(now, cycle);
-            self.follow_tim1();
-            self.note_switch(was_on);
-        }
+        // Before TIM1, which may write to TIM3 by DMA in the very cycle in which that reaches its compare value.
         if is_due(self.tim3.next_event(cycle)) {
             self.tim3.advance(now, cycle);
             if self.tim3.take_request() {
                 self.serve(Request::Tim3Ch1);
             }
+        }
+        if is_due(self.tim1.next_event(cycle)) {
+            let was_on = self.tim1.main_output();
+            self.tim1.advance(now, cycle);
+            self.follow_tim1();
+            self.note_switch(was_on);
         }
         if is_due(self.tim15.next_event(cycle)) {
             self.tim15.advance(now, cycle);
