@@ -29,7 +29,7 @@
 //! [`Supervisor::start_commissioning`](crate::supervisor::Supervisor::start_commissioning) begins it, and
 //! [`Supervisor::measure`](crate::supervisor::Supervisor::measure) lets [`Commission::step`] take the place of the
 //! drive's. `Off`, `Stop`, lost commands and every fault take outputs off at once. The [evidence](Commission::evidence) is there to be read
-//! until the next start. A host makes findings and a configuration of it ([`tuning::Known::tuned`]), which is applied and saved like any other.
+//! until the next start or change of parameters. A host makes findings and a configuration of it ([`tuning::Known::tuned`]), which is applied and saved like any other.
 //! For drives in `f32` only: measuring needs floating point, and a chip without it has not the room.
 
 mod current;

@@ -58,7 +58,7 @@ pub enum Request<'a> {
     Commission(Nameplate),
     /// How far is that? Answered by [`Answer::Progress`].
     ReadProgress,
-    /// What was measured? Answered by [`Answer::Evidence`], once outputs are off.
+    /// What was measured? Answered by [`Answer::Evidence`], once outputs are off and until parameters are changed.
     ReadEvidence,
 }
 
