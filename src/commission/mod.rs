@@ -29,7 +29,7 @@
 //! [`Supervisor::start_commissioning`](crate::supervisor::Supervisor::start_commissioning) begins it, and
 //! [`Supervisor::measure`](crate::supervisor::Supervisor::measure) lets [`Commission::step`] take the place of the
 //! drive's. `Off`, `Stop`, lost commands and every fault take outputs off at once. The [evidence](Commission::evidence) is there to be read
-//! until the next start or change of parameters. A host makes findings and a configuration of it ([`tuning::Known::tuned`]), which is applied and saved like any other.
+//! until it is tried to start again or, on a board, to change parameters. A host makes findings and a configuration of it ([`tuning::Known::tuned`]), which is applied and saved like any other.
 //! For drives in `f32` only: measuring needs floating point, and a chip without it has not the room.
 
 mod current;
@@ -267,6 +267,8 @@ pub struct Commission {
     /// The period that ended with the last sample.
     last: Period,
     speed: f32,
+    /// Whether the current was against the speed in the last period of a swing.
+    is_slowing: bool,
     /// Speeds at the start and the end of the window before (rad/s).
     speeds: [f32; 2],
     /// Periods that the speed is averaged over.
@@ -371,6 +373,7 @@ impl Commission {
             current: 0.0,
             last: Period::default(),
             speed: 0.0,
+            is_slowing: false,
             speeds: [0.0; 2],
             averaged,
             angle: 0.0,
@@ -714,6 +717,12 @@ impl Commission {
         let reached = self.speed.lesser(self.turn_speed);
         let speed = if room > 0.0 { reached.lesser(room * self.speed) } else { reached };
         let acceleration = self.acceleration(time);
+        // Not the other way round: a NaN is nothing seen.
+        let is_seen = acceleration > 0.0;
+        if !is_seen {
+            self.stop(Reason::TooQuick);
+            return;
+        }
         let least = QUICK * (self.averaged + self.window_periods + TURN);
         let by_speed = speed / acceleration * self.rate;
         let by_travel = sqrt(TURN_TRAVEL * self.travel / acceleration) * self.rate;
@@ -727,7 +736,6 @@ impl Commission {
         let resolved = 0.5 * WINDOW_COUNTS * self.grain * self.rate / self.averaged;
         self.turn_speed = near.greater(resolved).lesser(speed);
         self.fits.turn_speed = speed;
-        // Not the other way round: a NaN is nothing seen.
         let is_seen = self.high >= 0.25 * SIGNAL * self.noise;
         if !is_seen {
             self.stop(Reason::TooQuick);
@@ -769,8 +777,15 @@ impl Commission {
             }
             Closing::Shaft => {
                 self.fits.shaft = Some(self.shaft.solve([0.0; 4]));
-                self.phase = Phase::Over;
+                self.closing = Closing::Not;
             }
+        }
+        // All was seen. It swings on to where the shaft turns back, from where it does not coast far.
+        let is_slowing = self.sign * self.speed < 0.0;
+        let turns_back = core::mem::replace(&mut self.is_slowing, is_slowing) && !is_slowing;
+        let is_late = self.elapsed as f32 * self.period >= LONG;
+        if self.fits.shaft.is_some() && (turns_back || is_late) {
+            self.phase = Phase::Over;
         }
         // Two windows at each level: one has the step in it, the other has not.
         let level = if self.windows & 2 == 0 { self.high } else { self.low };
@@ -797,7 +812,6 @@ impl Commission {
             self.stop(Reason::EncoderLost);
             return;
         }
-        let turned_back = self.before.turned() * self.window.turned() <= 0.0;
         self.before = core::mem::take(&mut self.window);
         self.windows += 1;
         self.all_windows += 1;
@@ -812,10 +826,9 @@ impl Commission {
         let is_over = match self.phase {
             Phase::Trial => time >= TRIAL,
             Phase::Short => time >= SHORT,
-            // At rest, or nearly.
-            _ => time >= LONG || (time >= self.long_time() && turned_back),
+            _ => time >= self.long_time(),
         };
-        if is_over {
+        if is_over && self.fits.shaft.is_none() {
             self.closing = Closing::Pulled;
         }
     }

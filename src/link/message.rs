@@ -58,7 +58,8 @@ pub enum Request<'a> {
     Commission(Nameplate),
     /// How far is that? Answered by [`Answer::Progress`].
     ReadProgress,
-    /// What was measured? Answered by [`Answer::Evidence`], once outputs are off and until parameters are changed.
+    /// What was measured? Answered by [`Answer::Evidence`], once outputs are off and until it is tried to
+    /// change parameters.
     ReadEvidence,
 }
 
