@@ -292,8 +292,8 @@ fn what_is_staged_is_forgotten_by_a_refusal_and_by_a_new_host() {
 }
 
 #[test]
-fn a_controller_and_its_gains_change_in_every_mode() {
-    for mode in MODES {
+fn a_controller_and_its_gains_change_in_every_mode_in_which_nothing_is_measured() {
+    for mode in MODES.into_iter().filter(|mode| *mode != Mode::Armed) {
         for control in controls() {
             let mut device = Recorder::new(mode);
             let mut session = Session::default();
@@ -449,6 +449,19 @@ fn a_motor_is_measured_where_the_drive_is_ready_only() {
     ask(&mut device, Request::Commission(NAMEPLATE), |answer| {
         assert!(matches!(answer, Answer::Refused(Refusal::Config { field: "travel", .. })));
     });
+}
+
+#[test]
+fn the_controller_stays_while_the_motor_is_measured_or_may_be_soon() {
+    for mode in [Mode::Armed, Mode::Commissioning] {
+        let mut device = Recorder::new(mode);
+        let mut session = Session::default();
+        stage(&mut session, &mut device, &[("control", Value::Name("Pi"))]);
+        ask_in(&mut session, &mut device, Request::ApplyParameters, |answer| {
+            assert_eq!(answer, Answer::Refused(Refusal::Mode(mode)));
+        });
+        assert!(device.told.is_empty(), "{mode:?}");
+    }
 }
 
 #[test]

@@ -36,7 +36,7 @@ impl<T> Slot<T> {
         is_ours
     }
 
-    /// Puts a value in that may not come about, unless there is one: for one that is too large to be moved about.
+    /// Puts a value in that may not come about: for one that is too large to be moved about. If there is one already, that stays.
     #[inline]
     pub fn fill<E>(&self, make: impl FnOnce() -> Result<T, E>) -> Result<(), E> {
         if !self.claim(EMPTY) {

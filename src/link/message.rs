@@ -49,7 +49,7 @@ pub enum Request<'a> {
         value: Value<'a>,
     },
     /// Go on with what is staged, all of it or none; nothing stays staged. With outputs off only, but for another controller or
-    /// other gains, `control` and all under it, at any time but while the motor is measured.
+    /// other gains, `control` and all under it, at any time but in the modes `Armed` and `Commissioning`.
     ApplyParameters,
     /// Keep the parameters that are in force when the power is off. With outputs off only.
     SaveParameters,

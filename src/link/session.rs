@@ -137,10 +137,12 @@ fn answer<'n>(
             if beyond_control {
                 check_off(device)?;
                 device.change_parameters(&parameters)?;
-            } else if device.status().mode == Mode::Commissioning {
-                return Err(Refusal::Mode(Mode::Commissioning));
             } else {
-                device.change_controller(&parameters.drive.control)?;
+                match device.status().mode {
+                    // Measured, or about to be.
+                    mode @ (Mode::Armed | Mode::Commissioning) => return Err(Refusal::Mode(mode)),
+                    _ => device.change_controller(&parameters.drive.control)?,
+                }
             }
         }
         Request::SaveParameters => {

@@ -335,9 +335,11 @@ impl<W: World> VirtualBoard<W> {
         self.next = self.now;
     }
 
-    /// Leaves the core as a debugger does that has halted it for a moment: it can tell.
-    pub fn was_halted(&mut self) {
-        self.cpu.was_halted();
+    /// A debugger's halt of this many ticks of TIM15, which goes on meanwhile, for a firmware that has all other timers stand still with the core:
+    /// to them it takes no time, and so it does here.
+    pub fn halt(&mut self, ticks: u32) {
+        self.chip.skip_tim15(ticks);
+        self.next = self.now;
     }
 
     /// Lets the core go on at a function, by a part of its name; if it sleeps, when it wakes. Tells whether there is one.

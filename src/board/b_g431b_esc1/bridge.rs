@@ -25,7 +25,7 @@
 //! - **Before the motor is driven** the bootstrap capacitors are empty: [`Output::Charge`] turns on only the low sides, for a
 //!   twentieth of the period around the peak, where nobody samples.
 
-use super::{pins, safety};
+use super::pins;
 use crate::modulation;
 use crate::supervisor::Output;
 use embassy_stm32::Peri;
@@ -123,7 +123,7 @@ impl Bridge {
             w.set_lock(Lock::LEVEL2);
         });
         lock_system_breaks();
-        // In a debugger's halt the counter stops, and the outputs are off; see `was_halted` for what comes then.
+        // In a debugger's halt the counter stops, and the outputs are off; `Pauses` tells when it goes on.
         DBGMCU.apb2fzr().modify(|w| w.set_tim1(true));
 
         TIM1.cr1().write(|w| {
@@ -165,12 +165,6 @@ impl Bridge {
         self.is_on
     }
 
-    /// Whether a debugger has halted the core since outputs went on: they were off meanwhile, and the motor did not wait.
-    #[inline]
-    pub fn was_halted(&self) -> bool {
-        self.is_on && safety::was_halted()
-    }
-
     /// Takes a command; it acts from the next trough on. Off acts at once.
     #[inline]
     pub fn apply(&mut self, output: Output<f32>) {
@@ -192,7 +186,6 @@ impl Bridge {
             self.enabled = enabled;
         } else if !self.is_on {
             self.is_on = true;
-            safety::forget_halts();
             TIM1.sr().write(|w| {
                 w.0 = !0;
                 w.set_bif(0, false);

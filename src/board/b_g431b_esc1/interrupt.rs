@@ -7,6 +7,7 @@
 use super::analogue::{self, Conversions};
 use super::bridge::{self, Bridge};
 use super::encoder::Encoder;
+use super::safety::Pauses;
 use crate::board::handed_over::HandedOver;
 use crate::board::slot::Slot;
 use crate::commission::{Commission, Evidence, Progress};
@@ -113,7 +114,7 @@ fn give(order: Order) -> Option<Answer> {
     });
     // One that was not taken in time must not be taken later.
     ORDER.discard();
-    answer
+    answer.or_else(|| ANSWER.take())
 }
 
 /// Builds the next supervisor, which [`start`] or [`change`] take. Not before the last change was made, nor while the motor is measured.
@@ -124,14 +125,20 @@ pub(super) fn prepare(parameters: &Parameters) -> Result<(), ConfigError> {
     PREPARED.fill(|| super::build(parameters).map(Prepared::Supervisor))
 }
 
-/// Changes controller or supervisor from the next period on to those of parameters.
+/// Changes controller or supervisor to those of parameters, which takes a period.
 pub fn change(change: Change, parameters: &Parameters) -> Result<(), Refusal<'static>> {
     if CHANGE.is_full() {
         return Err(Refusal::Busy);
     }
     prepare(parameters)?;
     CHANGE.put(change);
-    Ok(())
+    let is_made = (0..64).any(|_| {
+        cortex_m::asm::delay(bridge::PERIOD / 16);
+        !CHANGE.is_full()
+    });
+    // As for an order.
+    CHANGE.discard();
+    if is_made { Ok(()) } else { Err(Refusal::Busy) }
 }
 
 /// What the drive is doing, if that has changed.
@@ -175,6 +182,7 @@ struct Control {
     temperature: f32,
     /// When the last period began (clock cycles).
     started: u32,
+    pauses: Pauses,
 }
 
 /// Hands everything and the supervisor that was [prepared](prepare) to the interrupt, with faults that there have been, and enables it.
@@ -192,6 +200,7 @@ pub(super) fn start(faults: [Option<Fault>; 3], bridge: Bridge, encoder: Encoder
         is_late: false,
         temperature: f32::NAN,
         started: 0,
+        pauses: Pauses::new(),
         supervisor,
     };
     // SAFETY: the interrupt is still masked.
@@ -213,6 +222,8 @@ fn ADC1_2() {
     if let Some(control) = unsafe { CONTROL.state() } {
         control.period(start);
     }
+    // See `safety::order_writes`.
+    cortex_m::asm::dsb();
 }
 
 impl Control {
@@ -225,6 +236,7 @@ impl Control {
         let counts = self.encoder.read();
         let is_next = start.wrapping_sub(self.started) < bridge::PERIOD + bridge::PERIOD / 2;
         self.started = start;
+        let was_paused = self.pauses.was_one();
         if ORDER.is_full() {
             self.obey();
         }
@@ -242,7 +254,7 @@ impl Control {
             temperature: self.temperature,
             current_sensors: self.shunts.state(),
             tripped: self.bridge.has_tripped(),
-            overrun: self.is_late || !counts.are_in_time || !is_next || self.bridge.was_halted(),
+            overrun: self.is_late || !counts.are_in_time || !is_next || was_paused,
         };
         let sample = Sample::Codes(Codes {
             encoder: *counts.reads,
@@ -312,7 +324,7 @@ impl Control {
                 next.succeed(&self.supervisor);
                 core::mem::swap(&mut self.supervisor, next);
             }
-            // Armed in the meantime: the parameters in force stay.
+            // Nobody arms in the meantime, since the same task does both.
             _ => {}
         });
     }

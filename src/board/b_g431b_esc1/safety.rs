@@ -6,10 +6,10 @@
 
 use super::{bridge, parameter_flash};
 use core::panic::PanicInfo;
-use cortex_m::peripheral::{DCB, ICB, MPU, SCB};
+use cortex_m::peripheral::{DCB, ICB, MPU};
 use cortex_m_rt::{ExceptionFrame, exception};
 use embassy_stm32::pac::iwdg::vals::Key;
-use embassy_stm32::pac::{DBGMCU, FLASH, IWDG, RCC};
+use embassy_stm32::pac::{DBGMCU, FLASH, IWDG, RCC, TIM15};
 use embassy_stm32::wdg::IndependentWatchdog;
 use embassy_stm32::{Peri, peripherals};
 
@@ -66,18 +66,25 @@ pub(super) fn order_writes() {
     unsafe { (*ICB::PTR).actlr.modify(|value| value | NO_WRITE_BUFFER) };
 }
 
-/// Whether a debugger has halted the core since [`forget_halts`] (DFSR).
-#[inline]
-pub(super) fn was_halted() -> bool {
-    // SAFETY: reading it changes nothing.
-    unsafe { (*SCB::PTR).dfsr.read() != 0 }
+/// Tells a debugger's halt from how far the clock of embassy's tasks has come, which goes on meanwhile: the timers that stand still with the
+/// core tell nothing, and debuggers clear the core's own note of it.
+pub(super) struct Pauses {
+    /// The clock when last looked at.
+    ticks: u16,
 }
 
-/// See [`was_halted`].
-#[inline]
-pub(super) fn forget_halts() {
-    // SAFETY: nobody else uses it.
-    unsafe { (*SCB::PTR).dfsr.write(!0) };
+impl Pauses {
+    /// Nothing looked at yet.
+    pub(super) const fn new() -> Self {
+        Self { ticks: 0 }
+    }
+
+    /// Whether there was one since the last period: more than 8 ticks of 1/32768 s, a quarter of a millisecond.
+    #[inline]
+    pub(super) fn was_one(&mut self) -> bool {
+        let ticks = TIM15.cnt().read().cnt();
+        ticks.wrapping_sub(core::mem::replace(&mut self.ticks, ticks)) > 8
+    }
 }
 
 fn wait_for_watchdog() -> ! {
@@ -109,6 +116,8 @@ unsafe fn NonMaskableInt() {
 /// Every other exception, and interrupts that nobody handles.
 #[exception]
 unsafe fn DefaultHandler(number: i16) -> ! {
+    // First: the control interrupt could enable outputs.
+    cortex_m::interrupt::disable();
     bridge::off();
     defmt::error!("unexpected exception {=i16}", number);
     wait_for_watchdog()

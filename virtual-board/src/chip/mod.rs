@@ -314,6 +314,13 @@ impl<W: World> Chip<W> {
         self.follow();
     }
 
+    /// TIM15 goes on by so many ticks at once.
+    pub fn skip_tim15(&mut self, ticks: u32) {
+        if let Some(cycle) = self.cycle {
+            self.tim15.skip(ticks, self.now, cycle);
+        }
+    }
+
     /// The counter of the bridge's timer breaks.
     pub fn stop_bridge_timer(&mut self) {
         self.tim1.get_stuck();

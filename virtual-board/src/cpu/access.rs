@@ -1,7 +1,7 @@
 //! The core's accesses: instructions and data, from memory, bus and the core's own registers.
 
 use super::exception::{Done, Fault};
-use super::own::{ACTLR, DFSR};
+use super::own::ACTLR;
 use super::{Bus, Cpu};
 use crate::chip::flash;
 use crate::memory::{CCM_SIZE, Ram, SRAM_SIZE};
@@ -202,7 +202,6 @@ impl Cpu {
         match address & !3 {
             DWT_PCSR => Some(self.address),
             ACTLR => Some(self.actlr),
-            DFSR => Some(self.dfsr),
             word => self.sys.read_word(word, quietly),
         }
     }
@@ -225,10 +224,6 @@ impl Cpu {
         let is_stored = word.is_some_and(|word| match address & !3 {
             ACTLR => {
                 self.actlr = word;
-                true
-            }
-            DFSR => {
-                self.dfsr &= !word;
                 true
             }
             _ => self.sys.write_word(address, word),

@@ -87,7 +87,6 @@ pub struct Cpu {
     control: u32,
     sys: Sys,
     actlr: u32,
-    dfsr: u32,
     fpu: Fpu,
     /// What LDREX has marked.
     exclusive: Option<u32>,
@@ -138,7 +137,6 @@ impl Cpu {
             control: 0,
             sys,
             actlr: 0,
-            dfsr: 0,
             fpu: Fpu::new(),
             exclusive: None,
             event: false,
@@ -287,12 +285,6 @@ impl Cpu {
     /// Lets it go on elsewhere.
     pub fn jump(&mut self, address: u32) {
         self.r[15] = address & !1;
-    }
-
-    /// As a debugger leaves the core that it has halted for a moment.
-    pub fn was_halted(&mut self) {
-        // HALTED
-        self.dfsr |= 1;
     }
 
     /// The last address without memory that it reached for, if it did.

@@ -8,11 +8,8 @@ use std::ops::RangeInclusive;
 /// Auxiliary control register.
 pub(super) const ACTLR: u32 = 0xe000_e008;
 
-/// Debug fault status register: why the core was halted. Cleared by writing ones.
-pub(super) const DFSR: u32 = 0xe000_ed30;
-
 /// First and last register, and the bits that a write may change in each.
-const MODELLED: [(RangeInclusive<u32>, u32); 26] = [
+const MODELLED: [(RangeInclusive<u32>, u32); 25] = [
     (0xe000_1000..=0xe000_1000, 1),           // DWT_CTRL: CYCCNTENA
     (0xe000_1004..=0xe000_1004, !0),          // DWT_CYCCNT
     (0xe000_101c..=0xe000_101c, 0),           // DWT_PCSR
@@ -29,7 +26,6 @@ const MODELLED: [(RangeInclusive<u32>, u32); 26] = [
     (0xe000_ed18..=0xe000_ed20, !0),          // SHPR
     (0xe000_ed24..=0xe000_ed24, 0x0007_0000), // SHCSR: enables
     (0xe000_ed28..=0xe000_ed2c, !0),          // CFSR, HFSR
-    (DFSR..=DFSR, !0),
     (0xe000_ed34..=0xe000_ed38, !0),          // MMFAR, BFAR
     (0xe000_ed88..=0xe000_ed88, 0x00f0_0000), // CPACR: the floating-point unit
     (0xe000_ed90..=0xe000_edb8, !0),          // the memory protection unit

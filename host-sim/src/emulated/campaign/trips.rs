@@ -449,7 +449,7 @@ fn trips() -> Vec<Trip> {
         Trip::board(
             "halted by a debugger for a moment",
             |bench| {
-                bench.emulated.board().was_halted();
+                bench.emulated.board().halt(HALT);
                 Ok(())
             },
             SAMPLED,
@@ -458,6 +458,9 @@ fn trips() -> Vec<Trip> {
         ),
     ]
 }
+
+/// Half a millisecond (ticks of 1/32768 s).
+const HALT: u32 = 16;
 
 /// Long enough for two control interrupts to come, of which one is lost.
 const HELD_OFF: f64 = 2.0 * PERIOD;
