@@ -161,8 +161,8 @@ pub fn set_telemetry(decimation: u32) {
     DECIMATION.store(decimation, Ordering::Relaxed);
 }
 
-/// Periods from one look at what is slow to the next: the temperature, and what is told of the status.
-const SLOW_PERIODS: u32 = 32;
+/// Periods from one look at what is slow to the next: the temperature, pauses, and what is told of the status.
+pub(super) const SLOW_PERIODS: u32 = 32;
 
 /// What the interrupt works on.
 struct Control {
@@ -236,7 +236,6 @@ impl Control {
         let counts = self.encoder.read();
         let is_next = start.wrapping_sub(self.started) < bridge::PERIOD + bridge::PERIOD / 2;
         self.started = start;
-        let was_paused = self.pauses.was_one();
         if ORDER.is_full() {
             self.obey();
         }
@@ -246,7 +245,9 @@ impl Control {
         let current = self.shunts.read(legs, self.bridge.is_on());
         let period = PERIODS.load(Ordering::Relaxed).wrapping_add(1);
         PERIODS.store(period, Ordering::Relaxed);
+        let mut was_paused = false;
         if period % SLOW_PERIODS == 1 {
+            was_paused = self.pauses.was_one();
             self.temperature = analogue::celsius(temperature);
             self.tell_status();
         }

@@ -4,6 +4,7 @@
 //! [`Fault::WatchdogReset`](crate::fault::Fault::WatchdogReset). A core that locks up, a clock that fails and memory errors end the outputs
 //! without any code, by TIM1's break ([`bridge`](super::bridge)).
 
+use super::interrupt::SLOW_PERIODS;
 use super::{bridge, parameter_flash};
 use core::panic::PanicInfo;
 use cortex_m::peripheral::{DCB, ICB, MPU};
@@ -79,11 +80,14 @@ impl Pauses {
         Self { ticks: 0 }
     }
 
-    /// Whether there was one since the last period: more than 8 ticks of 1/32768 s, a quarter of a millisecond.
+    /// Whether there was one of a quarter of a millisecond or more since the last look, [`SLOW_PERIODS`] ago.
     #[inline]
     pub(super) fn was_one(&mut self) -> bool {
+        // Of 1/32768 s: 52, and 8 more.
+        const USUAL: u32 = SLOW_PERIODS * bridge::PERIOD / (bridge::CLOCK / 32_768);
         let ticks = TIM15.cnt().read().cnt();
-        ticks.wrapping_sub(core::mem::replace(&mut self.ticks, ticks)) > 8
+        let passed = ticks.wrapping_sub(core::mem::replace(&mut self.ticks, ticks));
+        u32::from(passed) > USUAL + 8
     }
 }
 

@@ -452,9 +452,9 @@ fn trips() -> Vec<Trip> {
                 bench.emulated.board().halt(HALT);
                 Ok(())
             },
-            SAMPLED,
+            32.0 * PERIOD + SAMPLED,
             &[Fault::Overrun],
-            "the next sample's period",
+            "the next look at a clock that went on",
         ),
     ]
 }
