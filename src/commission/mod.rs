@@ -16,7 +16,9 @@
 //! | `Short` | again | L; R, and the voltage lost in brushes and dead time |
 //! | `Long` | the same to higher speeds and in longer windows | R, Kb; J, b, Coulomb friction, a constant load |
 //!
-//! In these the sign of the current changes where the shaft has reached a speed, most of the voltage, or the end of its
+//! `pulses.rs`, `launch.rs` and, for the rest, `swing.rs` have them; what all of them share is here.
+//!
+//! In the last three the sign of the current changes where the shaft has reached a speed, most of the voltage, or the end of its
 //! travel: it swings to and fro. Each sign holds with both levels, so that R is the difference that the level makes to the voltage, what is lost the
 //! difference that the sign makes, and Kb what the speed makes, all of one least-squares fit of sums over windows (`window.rs`). So neither
 //! has the current to settle nor the shaft to stand still, and what brushes and dead time take is no resistance.
@@ -36,8 +38,10 @@ mod current;
 mod extremes;
 mod findings;
 mod fit;
+mod launch;
 mod nameplate;
 mod pulses;
+mod swing;
 pub mod tuning;
 mod watch;
 mod window;
@@ -55,9 +59,11 @@ use crate::sense::{Measured, Sensing, Sensors};
 use current::{Armature, CurrentLoop};
 use extremes::Extremes;
 use findings::Fits;
-use fit::{Fit, Solution};
+use fit::Fit;
+use launch::LAUNCH;
 use pulses::{Pulsed, Pulses};
 use serde::{Deserialize, Serialize};
+use swing::{Closing, SHORT, TRIAL};
 use watch::Watch;
 use window::{Period, Window};
 
@@ -126,9 +132,6 @@ impl Progress {
 /// Periods that outputs are off at first.
 const REST: u32 = 2048;
 
-/// Share of R that it may change by from the short to the long windows: a winding that warms up by 40 °C.
-const STEADY: f32 = 0.15;
-
 /// In pulses the current's code must not stand still for more than so many times as long as it did at rest, and for so many periods more, which
 /// it may take from code to code. So noise tells whether its sensor is alive.
 const STILL: (u32, u32) = (4, 128);
@@ -180,55 +183,22 @@ const TURN_TRAVEL: f32 = 0.6;
 /// Share of the highest voltage that may go into the inductance.
 const SLEW: f32 = 0.2;
 
-/// Time in which the launch's current grows to the higher level, and its longest time (s).
-const RAMP: f32 = 0.4;
-const LAUNCH: f32 = 1.5;
-
 /// Time without voltage before it (s).
 const SETTLE: f32 = 0.1;
 
-/// A ramp to turning speed must take this many times what it takes to see it and to turn.
-const QUICK: f32 = 2.5;
-
-/// Periods that a current takes to turn.
-const TURN: f32 = 20.0;
-
 /// Counts that the shaft must turn in it.
 const MOVED: f32 = 4.0;
-
-/// A back-EMF (as a share of the highest voltage) after this time (s) without counts is a missing encoder.
-const BLIND: (f32, f32) = (0.15, 0.02);
-
-/// Time of the trial, of the short windows, and longest and least of the long ones (s).
-const TRIAL: f32 = 0.3;
-const SHORT: f32 = 1.2;
-const LONG: f32 = 10.0;
-const LONG_LEAST: f32 = 3.0;
 
 /// Periods of a window, at least and at most; counts that pass in one at turning speed, at least.
 const WINDOW: (f32, f32) = (16.0, 512.0);
 const WINDOW_COUNTS: f32 = 6.0;
 
-/// Ramps to turning speed in the long windows.
-const RAMPS: f32 = 50.0;
-
 /// Windows from rest to turning speed.
 const WINDOWS: f32 = 8.0;
-
-/// Share of the turning speed from which the shaft does not turn back within two windows.
-const ONWARD: f32 = 0.15;
-
-/// Change of speed from window to window over what the launch showed, and counts besides, that no shaft makes. Healthy motors come to half of
-/// it: friction helps to turn.
-const LIVELY: f32 = 3.0;
-const COUNTS: f32 = 2.5;
 
 /// Error of the current, averaged, over its limit: while it grows slowly, and where it turns. Healthy motors come to half of it.
 const RAMPED: f32 = 0.04;
 const TURNED: f32 = 0.5;
-
-/// Windows after which a current turns whose shaft is blocked.
-const BLOCKED_WINDOWS: u32 = 16;
 
 /// Measures a motor.
 #[derive(Clone, Debug)]
@@ -668,246 +638,6 @@ impl Commission {
         self.window_periods = electrical.greater(WINDOW.0).lesser(0.25 * WINDOW.1);
     }
 
-    fn launch(&mut self, highest: f32) -> Wanted {
-        let time = self.elapsed as f32 * self.period - SETTLE;
-        if time <= 0.0 {
-            self.start = self.angle;
-            self.late_angle = self.angle;
-            return Wanted::Voltage(0.0);
-        }
-        let moved = (self.angle - self.start).abs();
-        let is_moving = moved > self.moved();
-        let is_fast = self.speed.abs() >= self.turn_speed
-            || self.control.voltage >= TURN_VOLTAGE * highest
-            || 2.0 * moved + self.start.abs() >= TURN_TRAVEL * self.travel;
-        let back_emf = self.control.voltage - self.control.armature.voltage(self.current);
-        if !is_moving && time > BLIND.1 && back_emf > BLIND.0 * highest {
-            self.stop(Reason::EncoderMissing);
-        } else if (is_fast && is_moving) || time > LAUNCH {
-            let is_turning = is_moving && self.speed.abs() * time > 0.5 * moved;
-            if is_turning {
-                self.launched(time, highest);
-            } else {
-                self.fits.unseen = Some(Reason::Blocked);
-            }
-            if self.phase == Phase::Launch {
-                self.turn();
-                self.enter(Phase::Trial);
-            }
-        }
-        Wanted::Current((time / RAMP).lesser(1.0) * self.high)
-    }
-
-    /// Direction, and from how fast the shaft got how long it takes to turning speed at the higher level; a lower one where that is
-    /// too short to turn in time.
-    fn launched(&mut self, time: f32, highest: f32) {
-        if self.angle < self.start {
-            self.turn_sign = -1.0;
-            self.angle = -self.angle;
-            self.start = -self.start;
-            self.late_angle = -self.late_angle;
-            self.speed = -self.speed;
-            self.last.turned = -self.last.turned;
-        }
-        self.watch.direct(self.turn_sign);
-        self.fits.direction = Some(self.turn_sign);
-        // As fast as the voltage allows at the higher level.
-        let back_emf = self.control.voltage - self.control.armature.voltage(self.current);
-        let room = (TURN_VOLTAGE * highest - self.control.armature.voltage(self.high)) / back_emf;
-        let reached = self.speed.lesser(self.turn_speed);
-        let speed = if room > 0.0 { reached.lesser(room * self.speed) } else { reached };
-        let acceleration = self.acceleration(time);
-        // Not the other way round: a NaN is nothing seen.
-        let is_seen = acceleration > 0.0;
-        if !is_seen {
-            self.stop(Reason::TooQuick);
-            return;
-        }
-        let least = QUICK * (self.averaged + self.window_periods + TURN);
-        let by_speed = speed / acceleration * self.rate;
-        let by_travel = sqrt(TURN_TRAVEL * self.travel / acceleration) * self.rate;
-        let slowed = by_travel / least;
-        let share = (by_speed / least).lesser(slowed * slowed).lesser(1.0);
-        let Armature { resistance, inductive, lost, .. } = self.control.armature;
-        self.most = share * self.high;
-        self.tune(resistance, lost, inductive, LOW_MOST, highest);
-        self.ramp = by_speed.lesser(by_travel) / share;
-        let near = speed * (WINDOWS * self.window_periods / self.ramp).lesser(1.0);
-        let resolved = 0.5 * WINDOW_COUNTS * self.grain * self.rate / self.averaged;
-        self.turn_speed = near.greater(resolved).lesser(speed);
-        self.fits.turn_speed = speed;
-        let is_seen = self.high >= 0.25 * SIGNAL * self.noise;
-        if !is_seen {
-            self.stop(Reason::TooQuick);
-        }
-    }
-
-    /// At the higher level (rad/s²), from a launch of this time (s). Where friction holds the shaft until some time, and the current goes on
-    /// to grow, the angle is a·τ³/6 and the speed a·τ²/2 after it: together they tell a without that time. Friction helps to turn.
-    fn acceleration(&self, time: f32) -> f32 {
-        let [speed, angle] = [self.speed, self.late_angle - self.start];
-        if time < RAMP {
-            RAMP * 2.0 * speed * speed * speed / (9.0 * angle * angle)
-        } else {
-            speed * speed / (2.0 * angle)
-        }
-    }
-
-    /// The current the other way.
-    fn turn(&mut self) {
-        self.sign = -self.sign;
-        self.back = self.sign * self.angle;
-        self.windows = 0;
-    }
-
-    fn swing(&mut self, period: &Period, highest: f32) -> Wanted {
-        self.window.add(period, self.sign);
-        match self.closing {
-            Closing::Not if self.window.periods < self.window_periods => {}
-            Closing::Not => self.end_window(highest),
-            Closing::Pulled => self.closing = Closing::Armature(self.armature.solve([0.0; 4])),
-            Closing::Armature(pulled) => self.closing = Closing::Solved(self.solved(&pulled)),
-            Closing::Solved(solved) => {
-                self.closing = Closing::Not;
-                match self.phase {
-                    Phase::Trial => self.end_trial(&solved, highest),
-                    Phase::Short => self.end_short(solved),
-                    _ => self.end_long(solved),
-                }
-            }
-            Closing::Shaft => {
-                self.fits.shaft = Some(self.shaft.solve([0.0; 4]));
-                self.closing = Closing::Not;
-            }
-        }
-        // All was seen. It swings on to where the shaft turns back, from where it does not coast far.
-        let is_slowing = self.sign * self.speed < 0.0;
-        let turns_back = core::mem::replace(&mut self.is_slowing, is_slowing) && !is_slowing;
-        let is_late = self.elapsed as f32 * self.period >= LONG;
-        if self.fits.shaft.is_some() && (turns_back || is_late) {
-            self.phase = Phase::Over;
-        }
-        // Two windows at each level: one has the step in it, the other has not.
-        let level = if self.windows & 2 == 0 { self.high } else { self.low };
-        if self.phase == Phase::Over { Wanted::Off } else { Wanted::Current(self.sign * level) }
-    }
-
-    fn end_window(&mut self, highest: f32) {
-        let row = self.window.armature(self.least, self.sign, self.period);
-        if let Some((x, y)) = row {
-            self.armature.add(x, y);
-        }
-        // Friction changes its sign where the shaft turns back. It is told by the speed, whose noise is not that of the row.
-        let [start, middle] = self.speeds;
-        self.speeds = [middle, self.speed];
-        let direction = if self.speed > 0.0 { 1.0 } else { -1.0 };
-        let least = (direction * start).lesser(direction * self.speed);
-        if least > ONWARD * self.turn_speed {
-            let row = self.window.shaft(&self.before, direction, self.period);
-            if let Some((x, y)) = row {
-                self.shaft.add(x, y);
-            }
-        }
-        if self.jumps() {
-            self.stop(Reason::EncoderLost);
-            return;
-        }
-        self.before = core::mem::take(&mut self.window);
-        self.windows += 1;
-        self.all_windows += 1;
-        let is_far = self.sign * self.speed >= self.turn_speed
-            || self.sign * self.control.voltage >= TURN_VOLTAGE * highest
-            || 2.0 * self.sign * self.angle - self.back >= TURN_TRAVEL * self.travel
-            || (self.is_blocked() && self.windows >= BLOCKED_WINDOWS);
-        if is_far {
-            self.turn();
-        }
-        let time = self.elapsed as f32 * self.period;
-        let is_over = match self.phase {
-            Phase::Trial => time >= TRIAL,
-            Phase::Short => time >= SHORT,
-            _ => time >= self.long_time(),
-        };
-        if is_over && self.fits.shaft.is_none() {
-            self.closing = Closing::Pulled;
-        }
-    }
-
-    /// Whether the shaft turned more or less than in the window before by more than a motor can make.
-    fn jumps(&self) -> bool {
-        let periods = self.window.periods;
-        let acceleration = self.fits.turn_speed / self.ramp;
-        let most = LIVELY * acceleration * periods * periods * self.period + COUNTS * self.grain;
-        let gained = (self.window.turned() - self.before.turned()).abs();
-        self.before.periods == periods && !self.is_blocked() && gained > most
-    }
-
-    fn is_blocked(&self) -> bool {
-        self.fits.unseen == Some(Reason::Blocked)
-    }
-
-    fn long_time(&self) -> f32 {
-        (RAMPS * self.ramp * self.period).clamp(LONG_LEAST, 0.95 * LONG)
-    }
-
-    fn end_trial(&mut self, solved: &Solution, highest: f32) {
-        let &Solution { values, deviations } = solved;
-        let [resistance, lost, _, inductive] = values;
-        if deviations[0] < 0.2 * resistance
-            && deviations[3] < 0.2 * inductive
-            && inductive > resistance
-        {
-            self.tune(resistance, lost, inductive, LOW, highest);
-            self.watch.relearn(true);
-        }
-        self.enter(Phase::Short);
-    }
-
-    fn end_short(&mut self, solved: Solution) {
-        self.fits.short = Some(solved);
-        if self.is_blocked() {
-            self.phase = Phase::Over;
-            return;
-        }
-        self.window_periods = (self.ramp / WINDOWS)
-            .greater(self.window_periods)
-            .greater(self.averaged)
-            .lesser(WINDOW.1);
-        self.turn_speed = self.fits.turn_speed;
-        self.enter(Phase::Long);
-    }
-
-    /// What the short windows showed must still be so.
-    fn end_long(&mut self, solved: Solution) {
-        let resistance = solved.values[0];
-        let agrees = |short: &Solution| {
-            let uncertain = 3.0 * (solved.deviations[0] + short.deviations[0]);
-            (resistance - short.values[0]).abs() <= STEADY * resistance.abs() + uncertain
-        };
-        if self.fits.within_ripple || self.fits.short.as_ref().is_some_and(agrees) {
-            self.fits.long = Some(solved);
-            self.closing = Closing::Shaft;
-        } else {
-            self.stop(Reason::Unsteady);
-        }
-    }
-
-    /// The armature. Noise in current and angle pulls their unknowns; how much, its variance tells at most: half of it is taken back, and
-    /// the other half is uncertain.
-    fn solved(&self, pulled: &Solution) -> Solution {
-        let per = 1.0 / self.window_periods;
-        let speed = self.grain * self.rate * per;
-        let current = self.noise * per;
-        let noise = [0.0, 0.0, speed * speed / 6.0, 2.0 * current * current];
-        let mut solution = self.armature.solve(noise);
-        for (unknown, pulled) in pulled.values.iter().enumerate() {
-            let pull = 0.5 * (solution.values[unknown] - pulled);
-            solution.values[unknown] -= pull;
-            solution.deviations[unknown] += 0.5 * pull.abs();
-        }
-        solution
-    }
-
     /// What was measured until now.
     pub fn evidence(&self) -> Evidence {
         Evidence {
@@ -926,20 +656,6 @@ impl Commission {
     pub fn findings(&self) -> Findings {
         self.evidence().findings()
     }
-}
-
-/// What is to be solved next in a phase whose time is over: one solution a period and nothing else, for a microcontroller to have time.
-#[derive(Clone, Copy, Debug)]
-enum Closing {
-    /// Its time is not over.
-    Not,
-    /// The armature, noise left in.
-    Pulled,
-    /// The armature, with that.
-    Armature(Solution),
-    /// Nothing: this is what the phase came to.
-    Solved(Solution),
-    Shaft,
 }
 
 /// What the bridge is to do.
