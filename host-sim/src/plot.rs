@@ -50,8 +50,8 @@ impl Plot {
         least - margin..largest + margin
     }
 
-    /// The corner with the fewest points: there the legend hides the least.
-    fn emptiest_corner(&self, y: &Range<f64>) -> SeriesLabelPosition {
+    /// A corner for the legend that has no points, and the range of y with room for it above them if there is none.
+    fn legend(&self, y: Range<f64>) -> (SeriesLabelPosition, Range<f64>) {
         let middle = 0.5 * (y.start + y.end);
         let width = self.span.end - self.span.start;
         let (left, right) = (self.span.start + 0.35 * width, self.span.end - 0.35 * width);
@@ -65,8 +65,10 @@ impl Plot {
             (points_where(&|x, y| x < left && y > middle), SeriesLabelPosition::UpperLeft),
             (points_where(&|x, y| x < left && y < middle), SeriesLabelPosition::LowerLeft),
         ];
-        let emptiest = corners.into_iter().min_by_key(|(points, _)| *points);
-        emptiest.map_or(SeriesLabelPosition::UpperRight, |(_, position)| position)
+        match corners.into_iter().find(|(points, _)| *points == 0) {
+            Some((_, empty)) => (empty, y),
+            None => (SeriesLabelPosition::UpperRight, y.start..y.end + 0.35 * (y.end - y.start)),
+        }
     }
 
     fn draw(&self, svg: &mut String) -> Result<(), Box<dyn std::error::Error>> {
@@ -79,9 +81,8 @@ impl Plot {
             None if width < 0.5 => (1e3, "time [ms]"),
             None => (1.0, "time [s]"),
         };
-        let y_range = self.y_range();
+        let (legend, y_range) = self.legend(self.y_range());
         let height = y_range.end - y_range.start;
-        let legend = self.emptiest_corner(&y_range);
         let mut chart = ChartBuilder::on(&root)
             .caption(&self.title, ("sans-serif", 15))
             .margin(8)
