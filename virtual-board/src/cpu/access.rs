@@ -19,6 +19,10 @@ const CODE_END: u32 = flash::BASE + CODE_SIZE;
 const PERIPHERALS: std::ops::Range<u32> = 0x4000_0000..0x6000_0000;
 const DBGMCU: std::ops::Range<u32> = 0xe004_2000..0xe004_2400;
 
+/// The registers of memory protection, and MPU_CTRL's bit that leaves the usual map where there is no region.
+const MPU: std::ops::Range<u32> = 0xe000_ed90..0xe000_edbc;
+const PRIVDEFENA: u32 = 1 << 2;
+
 /// The program counter's sample, the one register of the debug blocks that only the core knows.
 const DWT_PCSR: u32 = 0xe000_101c;
 
@@ -197,6 +201,17 @@ impl Cpu {
         Ok(value as u32 & u32::MAX >> (32 - 8 * size))
     }
 
+    /// First and last address of all regions of memory protection that are enabled.
+    pub(super) fn guarded(&self) -> [u32; 2] {
+        let regions = self.sys.mpu_rbar.iter().zip(&self.sys.mpu_rasr);
+        let enabled = regions.filter(|(_, attributes)| *attributes & 1 != 0);
+        enabled.fold([u32::MAX, 0], |[first, last], (base, attributes)| {
+            // 2^(SIZE + 1) bytes.
+            let inner = u32::MAX >> (31 - (attributes >> 1 & 31));
+            [first.min(base & !inner), last.max(base | inner)]
+        })
+    }
+
     /// One of the core's own registers, without the effects of reading if `quietly`.
     fn own_word(&mut self, address: u32, quietly: bool) -> Option<u32> {
         match address & !3 {
@@ -228,6 +243,9 @@ impl Cpu {
             }
             _ => self.sys.write_word(address, word),
         });
+        if MPU.contains(&address) {
+            self.guarded = self.guarded();
+        }
         if is_stored { Ok(()) } else { Err(self.bus_fault(address, Access::Write)) }
     }
 
@@ -255,8 +273,15 @@ impl Cpu {
         if self.sys.mpu_ctrl & 1 == 0 {
             return Ok(());
         }
-        let priority = self.priority();
         let last = address.wrapping_add(size - 1);
+        // Beyond all regions the usual map allows it, to what has its use: quicker than to ask each region.
+        let [first_guarded, last_guarded] = self.guarded;
+        let is_beyond = address <= last && (last < first_guarded || address > last_guarded);
+        let is_usual = !matches!(access, Access::Fetch) || last < PERIPHERALS.start;
+        if is_beyond && is_usual && privileged && self.sys.mpu_ctrl & PRIVDEFENA != 0 {
+            return Ok(());
+        }
+        let priority = self.priority();
         let is_permitted = [address, last]
             .into_iter()
             .all(|address| self.sys.mpu_permits(address, access, privileged, priority));

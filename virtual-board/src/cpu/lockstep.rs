@@ -257,6 +257,7 @@ impl Pair {
 
     fn change_sys(&mut self, change: impl Fn(&mut Sys)) {
         change(&mut self.cpu.sys);
+        self.cpu.guarded = self.cpu.guarded();
         self.reference.with_sys(change);
     }
 

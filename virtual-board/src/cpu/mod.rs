@@ -87,6 +87,8 @@ pub struct Cpu {
     control: u32,
     sys: Sys,
     actlr: u32,
+    /// First and last address that a region of memory protection has.
+    guarded: [u32; 2],
     fpu: Fpu,
     /// What LDREX has marked.
     exclusive: Option<u32>,
@@ -137,6 +139,7 @@ impl Cpu {
             control: 0,
             sys,
             actlr: 0,
+            guarded: [u32::MAX, 0],
             fpu: Fpu::new(),
             exclusive: None,
             event: false,
