@@ -108,13 +108,18 @@ fn give(order: Order) -> Option<Answer> {
     if !ORDER.put(order) {
         return None;
     }
-    let answer = (0..64).find_map(|_| {
-        cortex_m::asm::delay(bridge::PERIOD / 16);
-        ANSWER.take()
-    });
+    let answer = wait_for(|| ANSWER.take());
     // One that was not taken in time must not be taken later.
     ORDER.discard();
     answer.or_else(|| ANSWER.take())
+}
+
+/// Looks for what the interrupt does, for four periods.
+fn wait_for<R>(mut look: impl FnMut() -> Option<R>) -> Option<R> {
+    (0..64).find_map(|_| {
+        cortex_m::asm::delay(bridge::PERIOD / 16);
+        look()
+    })
 }
 
 /// Builds the next supervisor, which [`start`] or [`change`] take. Not before the last change was made, nor while the motor is measured.
@@ -132,10 +137,7 @@ pub fn change(change: Change, parameters: &Parameters) -> Result<(), Refusal<'st
     }
     prepare(parameters)?;
     CHANGE.put(change);
-    let is_made = (0..64).any(|_| {
-        cortex_m::asm::delay(bridge::PERIOD / 16);
-        !CHANGE.is_full()
-    });
+    let is_made = wait_for(|| (!CHANGE.is_full()).then_some(())).is_some();
     // As for an order.
     CHANGE.discard();
     if is_made { Ok(()) } else { Err(Refusal::Busy) }
